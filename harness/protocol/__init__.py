@@ -1,0 +1,35 @@
+"""The floor of the harness: what a method and a material are. Imports torch alone."""
+
+from harness.protocol.disk import (
+    cos_theta,
+    disk_to_solid_angle,
+    disk_to_square,
+    inside_disk,
+    luminance,
+    solid_angle_to_disk,
+    square_to_disk,
+    to_direction,
+)
+from harness.protocol.errors import BudgetExceeded, InputError, Unsupported, nearest
+from harness.protocol.material import Material
+from harness.protocol.method import Budget, DiskSample, FitReport, Method
+
+__all__ = [
+    "Budget",
+    "BudgetExceeded",
+    "DiskSample",
+    "FitReport",
+    "InputError",
+    "Material",
+    "Method",
+    "Unsupported",
+    "cos_theta",
+    "disk_to_solid_angle",
+    "disk_to_square",
+    "inside_disk",
+    "luminance",
+    "nearest",
+    "solid_angle_to_disk",
+    "square_to_disk",
+    "to_direction",
+]

@@ -1,0 +1,33 @@
+"""What the harness says when it refuses an input."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+
+
+class InputError(ValueError):
+    """A refused input: one line that says what, where and what was expected.
+
+    The command line prints it without a traceback and exits with status 2.
+    """
+
+
+class Unsupported(Exception):
+    """A method or measure that cannot be had for this material, scene or machine.
+
+    Becomes a trial of status ``unsupported`` with this message as its reason.
+    """
+
+
+class BudgetExceeded(Exception):
+    """A fit or measure ran past its time limit; becomes a trial of status ``timeout``."""
+
+
+def nearest(name: str, known: Iterable[str]) -> str:
+    """``; did you mean 'x'?`` for the closest known name, or the list of all of them."""
+    known = sorted(known)
+    close = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
+    if close:
+        return f"; did you mean '{close[0]}'?"
+    return f"; known: {', '.join(known)}" if known else ""

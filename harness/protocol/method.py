@@ -1,0 +1,112 @@
+"""The adapter: one way to draw directions in proportion to a BSDF."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass, field
+from typing import ClassVar, NamedTuple
+
+import torch
+from torch import Tensor
+
+from harness.protocol.material import Material
+
+
+class DiskSample(NamedTuple):
+    """Sampled directions and their density.
+
+    ``wo`` [N, 2] are points of the projected disk; a point outside the unit disk is an
+    *invalid sample*, whose estimate is zero. ``pdf`` [N] is the density with respect to
+    disk area at ``wo``, and equals ``method.pdf(condition, wo)``.
+    """
+
+    wo: Tensor
+    pdf: Tensor
+
+
+@dataclass(frozen=True)
+class Budget:
+    """How much a fit may spend.
+
+    ``steps`` optimiser steps of ``conditions`` conditions times ``directions`` directions;
+    targets are tabulated on ``resolution`` x ``resolution`` equal-area cells of the disk for
+    a pool of ``pool`` conditions. ``max_seconds`` is a limit, not a goal: a fit that passes
+    it ends as a trial of status ``timeout``.
+    """
+
+    steps: int = 1000
+    conditions: int = 256
+    directions: int = 64
+    resolution: int = 64
+    pool: int = 4096
+    device: str = "cpu"
+    max_seconds: float = float("inf")
+
+
+@dataclass
+class FitReport:
+    """What a fit did. ``FitReport()`` is right for a method that has nothing to fit."""
+
+    steps: int = 0
+    parameters: int = 0
+    data_seconds: float = 0.0
+    optimise_seconds: float = 0.0
+    loss: list[float] = field(default_factory=list)
+    notes: str = ""
+
+
+class Method(ABC):
+    """An importance-sampling method for the projected disk.
+
+    A subclass gives :meth:`sample` and :meth:`pdf`; the rest has defaults. Keyword
+    arguments of its constructor are its parameters, as written in a suite.
+
+    Shapes: ``condition`` [N, C] as drawn by ``material.conditions``, the last two columns
+    ``wi.xy``; ``u`` [N, 3] uniforms in [0, 1); ``wo`` [N, 2]. Densities are with respect to
+    disk area. Inputs are never written to. N may be zero.
+    """
+
+    name: ClassVar[str] = ""
+    uniforms: ClassVar[int] = 3
+    """How many of the three columns of ``u`` :meth:`sample` reads."""
+
+    material: Material | None = None
+    """The material last given to :meth:`fit` (or :meth:`bind`)."""
+
+    def supports(self, material: Material) -> tuple[bool, str]:
+        """Whether the method can sample ``material``, and if not, why not."""
+        return True, ""
+
+    def bind(self, material: Material) -> None:
+        """Say which material the method samples. Called before ``fit`` and after loading."""
+        self.material = material
+
+    def fit(self, material: Material, budget: Budget, generator: torch.Generator) -> FitReport:
+        """Adapt to ``material`` within ``budget``; all randomness comes from ``generator``."""
+        self.bind(material)
+        return FitReport()
+
+    @abstractmethod
+    def sample(self, condition: Tensor, u: Tensor) -> DiskSample:
+        """Draw one direction per row from ``u``."""
+
+    @abstractmethod
+    def pdf(self, condition: Tensor, wo: Tensor) -> Tensor:
+        """Density [N] of :meth:`sample` at ``wo``, per disk area; 0 where it never samples."""
+
+    def eval(self, condition: Tensor, wo: Tensor) -> Tensor:
+        """Reflectance [N, 3] at ``wo``, without cosine; by default the material's own."""
+        if self.material is None:
+            raise RuntimeError(f"{self.name}: eval before fit or bind")
+        return self.material.eval(condition, wo)
+
+    def state_dict(self) -> dict[str, Tensor]:
+        """Everything a fitted method needs to be restored, as named tensors."""
+        return {}
+
+    def load_state_dict(self, state: dict[str, Tensor]) -> None:
+        """Inverse of :meth:`state_dict`, on a method constructed with the same parameters."""
+
+    def size_bytes(self) -> int:
+        """Bytes of state as stored."""
+        return sum(t.numel() * t.element_size() for t in self.state_dict().values())
