@@ -1,0 +1,11 @@
+"""Samplers over columns: one Dr.Jit array per input, the whole sampler one fused kernel.
+
+A network of width 32 is too small for a matrix library: torch spends its time moving
+activations through memory. Dr.Jit keeps a row's activations in registers and runs the
+network, the warp and the density as one loop over SIMD packets, on CPU (LLVM) and CUDA.
+"""
+
+from harness.columns.bridge import Columns, Float, columns_of, tensor_of
+from harness.columns.method import ColumnMethod
+
+__all__ = ["ColumnMethod", "Columns", "Float", "columns_of", "tensor_of"]

@@ -1,0 +1,106 @@
+"""Small multi-layer perceptrons."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import drjit as dr
+import drjit.nn
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from harness.columns.bridge import Columns, Float
+
+_SLOPE = {"relu": 0.0, "leaky_relu": 0.01}
+
+
+class MLP(nn.Module):
+    """Fully connected layers of the given widths, linear at the end.
+
+    ``MLP([30, 32, 32, 5])`` maps [..., 30] to [..., 5] through two hidden layers of 32.
+    ``activation`` is ``relu`` or ``leaky_relu`` (slope 0.01). :meth:`columns` runs the same
+    network over Dr.Jit columns with cooperative vectors.
+
+    Example:
+        >>> net = MLP([4, 32, 2])
+        >>> net(torch.rand(7, 4)).shape
+        torch.Size([7, 2])
+    """
+
+    def __init__(self, widths: Sequence[int], activation: str = "relu", zero_last: bool = False):
+        super().__init__()
+        self.layers = nn.ModuleList(
+            nn.Linear(a, b) for a, b in zip(widths[:-1], widths[1:], strict=True)
+        )
+        self.slope = _SLOPE[activation]
+        if zero_last:
+            nn.init.zeros_(self.layers[-1].weight)
+            nn.init.zeros_(self.layers[-1].bias)
+        self._packed: tuple[tuple, list, list] | None = None
+
+    def forward(self, x: Tensor) -> Tensor:
+        """[..., widths[0]] -> [..., widths[-1]]."""
+        for layer in self.layers[:-1]:
+            x = nn.functional.leaky_relu(layer(x), self.slope)
+        return self.layers[-1](x)
+
+    def columns(self, x: Columns) -> Columns:
+        """The network over columns, ``len(x) == widths[0]``. No gradients."""
+        if dr.backend_v(x[-1]) == dr.JitBackend.CUDA:
+            return self._columns_scalar(x)
+        weights, biases = self._pack(type(x[-1]))
+        v = drjit.nn.CoopVec(*x)
+        for i, (w, b) in enumerate(zip(weights, biases, strict=True)):
+            v = drjit.nn.matvec(w, v, b)
+            if i < len(weights) - 1:
+                v = dr.maximum(v, self.slope * v if self.slope else 0)
+        return list(v)
+
+    def _columns_scalar(self, x: Columns) -> Columns:
+        """Multiply-adds written out: 32-bit cooperative vectors do not exist on CUDA."""
+        array: type[Float] = type(x[-1])
+        for i, layer in enumerate(self.layers):
+            w = array(layer.weight.detach().float().reshape(-1).contiguous())
+            b = array(layer.bias.detach().float().contiguous())
+            out = []
+            for row in range(layer.out_features):
+                s = dr.gather(array, b, row)
+                for k, value in enumerate(x):
+                    s = dr.fma(dr.gather(array, w, row * layer.in_features + k), value, s)
+                out.append(s)
+            if i < len(self.layers) - 1:
+                out = [dr.maximum(v, self.slope * v) for v in out]
+            x = out
+        return x
+
+    def _pack(self, array: type[Float]) -> tuple[list, list]:
+        """Weights as packed matrix views, made again whenever a parameter was written to."""
+        version = tuple((p.data_ptr(), p._version) for p in self.parameters())
+        if self._packed is None or self._packed[0] != version:
+            tensor = dr.tensor_t(array)
+            numbers = [p.detach().float().cpu().numpy() for p in self.parameters()]
+            weights = [tensor(np.ascontiguousarray(w)) for w in numbers[0::2]]
+            biases = [array(b) for b in numbers[1::2]]
+            packed = drjit.nn.pack(*weights, *biases, layout="inference")
+            self._packed = (version, packed[: len(weights)], packed[len(weights) :])
+        return self._packed[1], self._packed[2]
+
+    def __deepcopy__(self, memo: dict) -> MLP:
+        clone = self.__new__(type(self))
+        nn.Module.__init__(clone)
+        import copy
+
+        clone.layers = copy.deepcopy(self.layers, memo)
+        clone.slope, clone._packed = self.slope, None
+        return clone
+
+
+def count_parameters(module: nn.Module) -> int:
+    """Number of fitted numbers in ``module``."""
+    return sum(p.numel() for p in module.parameters() if p.requires_grad)
+
+
+def split_rows(x: Tensor, chunk: int) -> Sequence[Tensor]:
+    """``x`` [N, ...] in pieces of at most ``chunk`` rows (one empty piece when N = 0)."""
+    return torch.split(x, chunk) if len(x) else (x,)
