@@ -1,0 +1,128 @@
+"""The target density p*, tabulated for a pool of conditions."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections import OrderedDict
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from harness.protocol import Budget, Material, square_to_disk
+
+_ROWS = 1 << 22
+"""Target evaluations per call to a material: 16 MB a column."""
+
+
+@dataclass
+class Targets:
+    """p* of P conditions as histograms over R x R equal-area cells of the disk.
+
+    The cells are the images of a square grid under the concentric map, so all of them lie
+    inside the disk and have area pi / R^2: the rim is neither cut off nor counted twice.
+    ``condition`` [P, C]; ``mass`` [P, R, R], each summing to one. Each cell's value is
+    taken at one uniformly jittered point, which keeps the mean right for lobes narrower
+    than a cell. Conditions without any reflection (black) have no p* and are left out.
+    """
+
+    condition: Tensor
+    mass: Tensor
+    seconds: float
+    black: int
+
+    @property
+    def resolution(self) -> int:
+        """R."""
+        return self.mass.shape[-1]
+
+    @classmethod
+    def build(cls, material: Material, budget: Budget, generator: torch.Generator) -> Targets:
+        """Tabulate p* of ``budget.pool`` random conditions of ``material``.
+
+        The last tables made are kept: methods that fit the same material from the same
+        generator state share them.
+        """
+        key = (id(material), budget.pool, budget.resolution, budget.device)
+        seed = int(torch.randint(1 << 62, (), generator=generator))
+        if (key, seed) not in _cache:
+            start = time.perf_counter()
+            own = torch.Generator().manual_seed(seed)
+            condition = material.conditions(budget.pool, own, budget.device)
+            value = tabulate(material, condition, budget.resolution, own)
+            total = value.sum((1, 2), dtype=torch.float64)
+            lit = total > 0
+            mass = (value[lit] / total[lit, None, None]).float()
+            seconds = time.perf_counter() - start
+            _cache.clear()
+            # The material is kept beside its tables, so that its id stays its own.
+            _cache[key, seed] = (
+                material,
+                cls(condition[lit], mass, seconds, int((~lit).sum())),
+            )
+        return _cache[key, seed][1]
+
+    def batch(
+        self, conditions: int, directions: int, generator: torch.Generator
+    ) -> tuple[Tensor, Tensor]:
+        """Conditions [B, C] and directions [B, D, 2] drawn from their p*."""
+        row = torch.randint(len(self.condition), (conditions,), generator=generator)
+        row = row.to(self.mass.device)
+        n = self.resolution
+        mass = self.mass[row].flatten(1)
+        u = torch.rand(conditions, directions, 3, generator=generator).to(mass.device)
+        cdf = mass.cumsum(1)
+        # Scaled by the cdf's own end, so that rounding leaves no gap above it.
+        cell = torch.searchsorted(cdf, u[..., 0] * cdf[:, -1:], right=True)
+        cell = cell.clamp(max=n * n - 1)
+        corner = torch.stack([cell // n, cell % n], -1)
+        return self.condition[row], square_to_disk((corner + u[..., 1:]) / n)
+
+    def uniform(
+        self, conditions: int, directions: int, generator: torch.Generator
+    ) -> tuple[Tensor, Tensor, Tensor]:
+        """Conditions [B, C], uniform directions [B, D, 2] of the disk, and p* there [B, D]."""
+        row = torch.randint(len(self.condition), (conditions,), generator=generator)
+        row = row.to(self.mass.device)
+        n = self.resolution
+        u = torch.rand(conditions, directions, 2, generator=generator).to(self.mass.device)
+        cell = (u * n).long()
+        cell = cell[..., 0] * n + cell[..., 1]
+        density = self.mass[row].flatten(1).gather(1, cell) * (n * n / math.pi)
+        return self.condition[row], square_to_disk(u), density
+
+
+_cache: OrderedDict = OrderedDict()
+
+
+def cells(resolution: int, jitter: Tensor | None = None, device: str = "cpu") -> Tensor:
+    """One point per equal-area cell, [R*R, 2] (or [B, R*R, 2] for ``jitter`` of that shape).
+
+    ``jitter`` in [0, 1)^2 places the point in its cell; its centre by default.
+    """
+    index = torch.arange(resolution, device=device, dtype=torch.float32)
+    corner = torch.stack(torch.meshgrid(index, index, indexing="ij"), -1).reshape(-1, 2)
+    return square_to_disk((corner + (0.5 if jitter is None else jitter)) / resolution)
+
+
+def tabulate(
+    material: Material,
+    condition: Tensor,
+    resolution: int,
+    generator: torch.Generator | None = None,
+) -> Tensor:
+    """Target values [N, R, R] at one point per cell: jittered by ``generator``, or the centre."""
+    count = resolution * resolution
+    device = condition.device
+    value = torch.empty(len(condition), count, device=device)
+    step = max(1, _ROWS // count)
+    for start in range(0, len(condition), step):
+        rows = condition[start : start + step]
+        jitter = None
+        if generator is not None:
+            jitter = torch.rand(len(rows), count, 2, generator=generator).to(device)
+        wo = cells(resolution, jitter, device).expand(len(rows), count, 2)
+        flat = material.target(rows.repeat_interleave(count, 0), wo.reshape(-1, 2))
+        value[start : start + step] = flat.view(len(rows), count)
+    return value.view(-1, resolution, resolution)

@@ -1,0 +1,1 @@
+"""Materials: reflectance functions and their conditions. One kind, one file."""

@@ -1,0 +1,1 @@
+"""The adapters: one importance-sampling method a file, named after the method."""

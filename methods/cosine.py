@@ -1,0 +1,32 @@
+"""Cosine-weighted hemisphere sampling: the floor that every other method must beat."""
+
+from __future__ import annotations
+
+import math
+
+import drjit as dr
+
+from harness.columns import ColumnMethod, Columns, Float
+
+
+class Cosine(ColumnMethod):
+    r"""Uniform on the projected disk, whatever the material.
+
+    .. math:: p_\perp(\omega) = \frac{1}{\pi}, \qquad p_\sigma(\omega) = \frac{\cos\theta}{\pi}
+
+    Uses two uniforms. Every sample is valid.
+    """
+
+    name = "cosine"
+    uniforms = 2
+
+    def sample_columns(self, c: Columns, u: Columns) -> tuple[Float, Float, Float]:
+        """See :meth:`ColumnMethod.sample_columns`."""
+        radius = dr.sqrt(u[0])
+        sin, cos = dr.sincos(2 * math.pi * u[1])
+        return radius * cos, radius * sin, dr.full(type(u[0]), 1 / math.pi, dr.width(u[0]))
+
+    def pdf_columns(self, c: Columns, wo: Columns) -> Float:
+        """See :meth:`ColumnMethod.pdf_columns`."""
+        x, y = wo
+        return dr.select(dr.fma(x, x, y * y) < 1, type(x)(1 / math.pi), 0)

@@ -1,0 +1,44 @@
+"""The improved baseline of NeuSample: a Lambertian and one isotropic Gaussian lobe."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor, nn
+
+from harness.columns import Columns
+from harness.fitting import LobeMethod
+from harness.nets import ConditionalMLP, lobes
+from harness.protocol import Material
+
+
+class ImprovedBaseline(LobeMethod):
+    r"""Equation 1 of Xu et al. (2023), NeuSample:
+
+    .. math:: p(\omega) = w\,\tfrac{1}{\pi} + (1 - w)\,\mathcal{N}(\omega; \mu, \sigma)
+
+    A network of three hidden layers predicts the mean :math:`\mu`, one standard deviation
+    :math:`\sigma` and the weight from the condition. Uses three uniforms.
+    """
+
+    name = "improved-baseline"
+
+    def __init__(self, width: int = 32, layers: int = 3):
+        self.width, self.layers = width, layers
+
+    def build(self, material: Material) -> nn.Module:
+        """Outputs: mean x, mean y, log sigma, and the logits of the two weights."""
+        return ConditionalMLP(material, [self.width] * self.layers, 5)
+
+    def lobes(self, condition: Tensor) -> lobes.Lobes:
+        """See :meth:`LobeMethod.lobes`."""
+        out = self.module(condition)
+        sigma = lobes.log_sigma(out[..., 2:3]).expand(*out.shape[:-1], 2)
+        return lobes.Lobes(
+            torch.log_softmax(out[..., 3:], -1), out[..., None, :2], sigma[..., None, :]
+        )
+
+    def lobes_columns(self, c: Columns) -> lobes.ColumnLobes:
+        """See :meth:`LobeMethod.lobes_columns`."""
+        mx, my, raw, *logits = self.module.columns(c)
+        sigma = lobes.log_sigma_columns(raw)
+        return lobes.ColumnLobes(lobes.softmax_columns(logits), [(mx, my)], [(sigma, sigma)])
