@@ -1,0 +1,1 @@
+"""Rendering with Mitsuba. Submodules other than ``llvm`` and ``variant`` need a variant set."""

@@ -1,0 +1,147 @@
+"""A fitted method and its material as one Mitsuba BSDF.
+
+Import this module after ``variant.use``: a Mitsuba class belongs to a variant.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import torch
+
+from harness.columns import ColumnMethod, Columns, columns_of, tensor_of
+from harness.protocol import Material, Method
+
+_MATERIALS: dict[str, tuple[Material, Method]] = {}
+
+
+class SampledBSDF(mi.BSDF):
+    """``material`` evaluated by itself, sampled by ``method``; usable in any scene.
+
+    Reflective and one-sided. Mitsuba's value of ``sample`` is f cos / pdf with the pdf per
+    solid angle, cos times the method's. A sample off the disk has pdf 0 and value 0; what
+    is not a number stays one, so that a broken method shows in the image.
+
+    Render it through :mod:`harness.rendering.passes`, which has Mitsuba evaluate BSDF calls
+    one material at a time; a method in torch cannot run inside a symbolic call.
+    """
+
+    def __init__(self, material: Material, method: Method):
+        super().__init__(mi.Properties())
+        self.material, self.method = material, method
+        self.own_eval = type(method).eval is not Method.eval
+        self.in_columns = isinstance(method, ColumnMethod)
+        self.nested = getattr(material, "bsdf", None)
+        flags = mi.BSDFFlags.GlossyReflection | mi.BSDFFlags.FrontSide
+        if material.n_address + material.n_features:
+            flags = flags | mi.BSDFFlags.SpatiallyVarying
+        self.m_components = [flags]
+        self.m_flags = flags
+
+    def sample(self, ctx: Any, si: Any, sample1: Any, sample2: Any, active: Any = True) -> Any:
+        """A direction from three uniforms, and f cos / pdf."""
+        front = mi.Mask(active) & (si.wi.z > 0)
+        x, y, pdf = self._draw(si, [sample1, sample2.x, sample2.y], front)
+        cos_squared = 1 - x * x - y * y
+        # Written as "not known to be invalid", so that nan is passed on.
+        valid = front & ~(cos_squared <= 0) & ~(pdf <= 0)
+        cos = dr.sqrt(dr.select(valid, cos_squared, 1))
+        bs = mi.BSDFSample3f()
+        bs.wo = mi.Vector3f(x, y, cos)
+        bs.pdf = dr.select(valid, pdf * cos, 0)
+        bs.eta = 1
+        bs.sampled_type = mi.UInt32(+mi.BSDFFlags.GlossyReflection)
+        bs.sampled_component = mi.UInt32(0)
+        value = self._value(ctx, si, bs.wo, valid)
+        return bs, dr.select(valid, value / bs.pdf, 0)
+
+    def eval(self, ctx: Any, si: Any, wo: Any, active: Any = True) -> Any:
+        """f cos."""
+        return self._value(ctx, si, wo, self._above(si, wo, active))
+
+    def pdf(self, ctx: Any, si: Any, wo: Any, active: Any = True) -> Any:
+        """Density per solid angle of :meth:`sample`."""
+        above = self._above(si, wo, active)
+        return dr.select(above, self._density(si, wo, above) * wo.z, 0)
+
+    def eval_pdf(self, ctx: Any, si: Any, wo: Any, active: Any = True) -> Any:
+        """Both."""
+        return self.eval(ctx, si, wo, active), self.pdf(ctx, si, wo, active)
+
+    def to_string(self) -> str:
+        """For Mitsuba's messages."""
+        return f"SampledBSDF[{self.material.name}, {self.method.name}]"
+
+    @staticmethod
+    def _above(si: Any, wo: Any, active: Any) -> Any:
+        return mi.Mask(active) & (si.wi.z > 0) & (wo.z > 0)
+
+    def _condition(self, si: Any) -> Columns:
+        if hasattr(self.material, "condition_columns"):
+            return self.material.condition_columns(si)
+        n = dr.width(si.wi)
+        uv = tensor_of(*_full([si.uv.x, si.uv.y], n), rows=n)
+        return [*columns_of(self.material.places(uv)), si.wi.x, si.wi.y]
+
+    def _draw(self, si: Any, u: Columns, active: Any) -> tuple[Any, Any, Any]:
+        c = self._condition(si)
+        if self.in_columns:
+            return self.method.sample_columns(c, u)
+
+        def draw(rows: torch.Tensor) -> torch.Tensor:
+            wo, pdf = self.method.sample(rows[:, : len(c)], rows[:, len(c) :])
+            return torch.cat([wo, pdf[:, None]], 1)
+
+        return tuple(_on_active_rows(draw, [*c, *u], active, outputs=3))
+
+    def _density(self, si: Any, wo: Any, active: Any) -> Any:
+        c = self._condition(si)
+        if self.in_columns:
+            return self.method.pdf_columns(c, [wo.x, wo.y])
+
+        def density(rows: torch.Tensor) -> torch.Tensor:
+            return self.method.pdf(rows[:, : len(c)], rows[:, len(c) :])[:, None]
+
+        return _on_active_rows(density, [*c, wo.x, wo.y], active, outputs=1)[0]
+
+    def _value(self, ctx: Any, si: Any, wo: Any, active: Any) -> Any:
+        if self.nested is not None and not self.own_eval:
+            return self.nested.eval(ctx, si, wo, active)
+        c = self._condition(si)
+
+        def value(rows: torch.Tensor) -> torch.Tensor:
+            return self.method.eval(rows[:, : len(c)], rows[:, len(c) :])
+
+        rgb = _on_active_rows(value, [*c, wo.x, wo.y], active, outputs=3)
+        return dr.select(active, mi.Color3f(*rgb) * wo.z, 0)
+
+
+def _full(columns: Columns, n: int) -> Columns:
+    """Every column at full width: one that is the same in all rows may be of width one."""
+    return [c if dr.width(c) == n else dr.repeat(c, n) for c in columns]
+
+
+def _on_active_rows(function: Any, columns: Columns, active: Any, outputs: int) -> Columns:
+    """``function`` [n, C] -> [n, outputs] on the active rows; zero in the others."""
+    n = max(dr.width(c) for c in columns)
+    columns = _full(columns, n)
+    results = [dr.zeros(mi.Float, n) for _ in range(outputs)]
+    lanes = dr.compress(active if dr.width(active) == n else active & dr.full(mi.Mask, True, n))
+    if dr.width(lanes) == 0:
+        return results
+    picked = [dr.gather(mi.Float, c, lanes) for c in columns]
+    with torch.inference_mode():
+        out = function(tensor_of(*picked, rows=dr.width(lanes)))
+    for target, column in zip(results, columns_of(out), strict=True):
+        dr.scatter(target, column, lanes)
+    return results
+
+
+def offer(key: str, material: Material, method: Method) -> None:
+    """Let a scene file refer to this pair as ``<bsdf type="harness"><string name="key" .../>``."""
+    _MATERIALS[key] = (material, method)
+
+
+mi.register_bsdf("harness", lambda props: SampledBSDF(*_MATERIALS[props["key"]]))
