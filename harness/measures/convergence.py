@@ -1,0 +1,103 @@
+"""Error against samples per pixel and against seconds (NeuSample's Figure 8)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+from scipy import stats
+
+from harness.measures.base import Job, Measure, Outcome, Record
+from harness.measures.base import Settings as BaseSettings
+from harness.measures.images import checked, reference
+from harness.rendering.prepared import prepare
+
+
+class Convergence(Measure):
+    """Mean squared error of renders of 1, 2, 4, ... samples per pixel against a reference.
+
+    The reference is Mitsuba's own render with light sampling (see
+    :func:`~harness.measures.images.reference`); its own noise, known from its moments, is
+    subtracted. The error is averaged over the pixels that show the material and over
+    ``repeats`` independent renders, whose spread gives the interval. ``slope`` is that of
+    log MSE against log spp: -1 for an unbiased estimator of finite variance. A method stops
+    at the level that would take longer than ``max_seconds``.
+    """
+
+    name = "convergence"
+    timed = True
+
+    class Settings(BaseSettings):
+        """``levels`` renders: spp = 1, 2, ..., 2^(levels - 1)."""
+
+        levels: int = 8
+        repeats: int = 4
+        resolution: int = 96
+        reference_spp: int = 4096
+        max_seconds: float = 5.0
+
+    def run(self, jobs: list[Job], notify: Callable[[str], None]) -> list[Outcome]:
+        """See :class:`Measure`."""
+        settings = self.Settings(**jobs[0].settings)
+        notify(f"{jobs[0].material.name}: reference image")
+        truth = reference(jobs[0], settings.resolution, settings.reference_spp)
+        prepared = [prepare(j.scene, j.material, j.method, settings.resolution) for j in jobs]
+        found: list[list[tuple[int, float, list[float]]]] = [[] for _ in jobs]
+        for p in prepared:
+            p.render(1, seed=0)
+        for level in range(settings.levels):
+            spp = 2**level
+            notify(f"convergence at {spp} spp, {len(jobs)} methods")
+            for j, job in enumerate(jobs):
+                if found[j] and 2 * found[j][-1][1] * settings.repeats > settings.max_seconds:
+                    continue
+                mask = prepared[j].mask
+                noise = truth.variance[mask].mean() / truth.spp
+                errors, seconds = [], []
+                for repeat in range(settings.repeats):
+                    seed = 70_000 * (job.seed + 1) + 100 * level + repeat
+                    rendered = checked(prepared[j].render(spp, seed), job)
+                    errors.append(float(np.square(rendered.mean - truth.mean)[mask].mean() - noise))
+                    seconds.append(rendered.seconds)
+                found[j].append((spp, float(np.median(seconds)), errors))
+        return [_outcome(levels) for levels in found]
+
+
+def _outcome(levels: list[tuple[int, float, list[float]]]) -> Outcome:
+    spp = np.array([s for s, _, _ in levels], float)
+    errors = np.array([e for _, _, e in levels])
+    mse, n = errors.mean(1), errors.shape[1]
+    half = (
+        stats.t.ppf(0.975, n - 1) * errors.std(1, ddof=1) / math.sqrt(n)
+        if n > 1
+        else np.full_like(mse, math.nan)
+    )
+    arrays = {
+        "spp": spp,
+        "seconds": np.array([t for _, t, _ in levels]),
+        "mse": mse,
+        "mse_low": mse - half,
+        "mse_high": mse + half,
+        "errors": errors,
+    }
+    records = [
+        Record(
+            "mse-last",
+            float(mse[-1]),
+            float(mse[-1] - half[-1]),
+            float(mse[-1] + half[-1]),
+            "radiance^2",
+        )
+    ]
+    # A logarithm needs an error above the reference's noise; levels below it say nothing.
+    usable = mse > 0
+    if usable.sum() >= 3:
+        fit = stats.linregress(np.log(spp[usable]), np.log(mse[usable]))
+        reach = stats.t.ppf(0.975, int(usable.sum()) - 2) * fit.stderr
+        records.append(
+            Record(
+                "slope", float(fit.slope), float(fit.slope - reach), float(fit.slope + reach), "1"
+            )
+        )
+    return Outcome(records=records, arrays=arrays)

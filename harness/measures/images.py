@@ -1,0 +1,54 @@
+"""What several image measures share: reference images, and a look at every render."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from harness.measures.base import Job
+from harness.protocol import Unsupported
+from harness.rendering.passes import Pass
+from harness.rendering.prepared import prepare, prepare_native
+
+_references: dict[tuple, Pass] = {}
+
+
+def reference(job: Job, resolution: int, spp: int) -> Pass:
+    """A long render of the job's material in its scene, made once per process.
+
+    By Mitsuba's own BSDF with light sampling, so that nothing under test takes part. A
+    material or scene that has no such render gets one with cosine sampling.
+    """
+    key = (id(job.material), id(job.scene), resolution, spp)
+    if key not in _references:
+        try:
+            prepared = prepare_native(job.scene, job.material, resolution)
+        except Unsupported:
+            prepared = prepare(job.scene, job.material, _cosine(job), resolution)
+        _references.clear()
+        _references[key] = prepared.render(spp, seed=424242)
+    return _references[key]
+
+
+def checked(rendered: Pass, job: Job) -> Pass:
+    """``rendered``, if every pixel of it is a finite number.
+
+    Raises:
+        FloatingPointError: with the number of pixels that are not.
+    """
+    bad = ~np.isfinite(rendered.rgb).all(-1)
+    if bad.any():
+        raise FloatingPointError(
+            f"{job.method.name} on {job.material.name}: {int(bad.sum())} of {bad.size} pixels"
+            " are not finite"
+        )
+    return rendered
+
+
+def _cosine(job: Job) -> Any:
+    from harness import registry
+
+    method = registry.make("cosine")
+    method.bind(job.material)
+    return method

@@ -1,0 +1,94 @@
+"""How well a method's density follows the target, on conditions held out from fitting."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+import torch
+
+from harness.fitting.targets import cells
+from harness.measures.base import Job, Measure, Outcome, Record
+from harness.measures.base import Settings as BaseSettings
+from harness.protocol import inside_disk
+from harness.stats import divergence
+from harness.stats.intervals import mean_interval
+
+_ROWS = 1 << 20
+_DIVERGENCES = {
+    "kl": (divergence.kl_divergence, "nats"),
+    "chi2": (divergence.chi_square_divergence, "1"),
+    "mse": (divergence.mean_squared_error, "1"),
+    "lost-share": (divergence.lost_share, "1"),
+}
+
+
+class Pdf(Measure):
+    r"""KL and chi-square divergence, MSE, invalid and lost shares; means over conditions.
+
+    .. math:: D_{KL} = \int p^* \ln \frac{p^*}{p}, \qquad
+              \chi^2 = \int \frac{p^{*2}}{p} - 1
+
+    by quadrature over ``resolution``^2 equal-area cells of the disk with one random point
+    each, the same points for p* and p. The chi-square divergence is the variance of
+    f / p over its squared mean under constant light. Both are infinite where p = 0 < p*;
+    the share of p* that is so lost is a record of its own. Intervals are over conditions.
+    """
+
+    name = "pdf"
+    needs_scene = False
+
+    class Settings(BaseSettings):
+        """``conditions`` held-out conditions, ``samples`` drawn at each for the invalid share."""
+
+        conditions: int = 128
+        resolution: int = 128
+        samples: int = 256
+
+    def run(self, jobs: list[Job], notify: Callable[[str], None]) -> list[Outcome]:
+        """See :class:`Measure`."""
+        return [self._one(job, self.Settings(**job.settings)) for job in jobs]
+
+    def _one(self, job: Job, settings: Settings) -> Outcome:
+        device, count = job.budget.device, settings.resolution**2
+        condition = job.material.conditions(settings.conditions, job.generator, device)
+        kept: list[torch.Tensor] = []
+        found: dict[str, list[np.ndarray]] = {name: [] for name in _DIVERGENCES}
+        step = max(1, _ROWS // count)
+        for rows in torch.split(condition, step):
+            jitter = torch.rand(len(rows), count, 2, generator=job.generator).to(device)
+            wo = cells(settings.resolution, jitter, device).reshape(-1, 2)
+            many = rows.repeat_interleave(count, 0)
+            value = job.material.target(many, wo).view(len(rows), count).double()
+            total = value.sum(1, keepdim=True)
+            # A black condition has no p* to be compared with.
+            lit = total[:, 0] > 0
+            target = value[lit] / total[lit] * (count / math.pi)
+            pdf = job.method.pdf(many, wo).view(len(rows), count)[lit].double()
+            p_star, p = target.cpu().numpy(), pdf.cpu().numpy()
+            for name, (function, _) in _DIVERGENCES.items():
+                found[name].append(function(p_star, p))
+            kept.append(rows[lit])
+        invalid = self._invalid_share(job, torch.cat(kept), settings.samples)
+        series = {
+            name: (np.concatenate(found[name]), unit) for name, (_, unit) in _DIVERGENCES.items()
+        }
+        series["invalid-share"] = (invalid, "1")
+        records = []
+        for metric, (values, unit) in series.items():
+            records.append(Record(metric, *mean_interval(values), unit))
+        chi2 = series["chi2"][0]
+        records.append(Record("chi2-median", float(np.median(chi2)), unit="1"))
+        records.append(Record("black-conditions", float(settings.conditions - len(chi2)), unit="1"))
+        arrays = {name: values for name, (values, _) in series.items()}
+        arrays["condition"] = torch.cat(kept).cpu().numpy()
+        return Outcome(records=records, arrays=arrays)
+
+    @staticmethod
+    def _invalid_share(job: Job, condition: torch.Tensor, samples: int) -> np.ndarray:
+        """Share of samples off the disk, per condition."""
+        u = torch.rand(len(condition) * samples, 3, generator=job.generator)
+        wo, _ = job.method.sample(condition.repeat_interleave(samples, 0), u.to(condition.device))
+        valid = inside_disk(wo).view(len(condition), samples).double().mean(1)
+        return (1 - valid).cpu().numpy()

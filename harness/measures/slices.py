@@ -1,0 +1,61 @@
+"""Pictures of the density beside its target, for chosen conditions (NeuSample's Figure 7)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import torch
+
+from harness.measures.base import Job, Measure, Outcome, Record
+from harness.measures.base import Settings as BaseSettings
+from harness.protocol import inside_disk
+from harness.stats.divergence import kl_divergence, mean_squared_error
+
+
+class Slices(Measure):
+    """p* and p on a regular grid of [-1, 1]^2, nan off the disk, with KL and MSE of each.
+
+    The conditions are the same for all methods of a material. Both densities are taken at
+    cell centres; p* is normalised over the grid, p is shown as the method gives it.
+    """
+
+    name = "slices"
+    needs_scene = False
+
+    class Settings(BaseSettings):
+        """``count`` conditions on a ``grid`` x ``grid`` raster."""
+
+        count: int = 3
+        grid: int = 128
+
+    def run(self, jobs: list[Job], notify: Callable[[str], None]) -> list[Outcome]:
+        """See :class:`Measure`."""
+        return [self._one(job, self.Settings(**job.settings)) for job in jobs]
+
+    def _one(self, job: Job, settings: Settings) -> Outcome:
+        n = settings.grid
+        condition = job.material.conditions(settings.count, job.generator, job.budget.device)
+        axis = (torch.arange(n, device=condition.device) + 0.5) * (2 / n) - 1
+        wo = torch.stack(torch.meshgrid(axis, axis, indexing="xy"), -1).reshape(-1, 2)
+        wo = wo[inside_disk(wo)]
+        rows = condition.repeat_interleave(len(wo), 0)
+        points = wo.repeat(settings.count, 1)
+        shape = (settings.count, len(wo))
+        area = (2 / n) ** 2
+        value = job.material.target(rows, points).view(shape).double()
+        target = (value / (value.sum(1, keepdim=True) * area)).cpu().numpy()
+        pdf = job.method.pdf(rows, points).view(shape).double().cpu().numpy()
+        kl = kl_divergence(target, pdf, area * len(wo))
+        column = ((wo + 1) * (n / 2)).long().cpu().numpy()
+        arrays = {
+            "kl": kl,
+            "mse": mean_squared_error(target, pdf),
+            "condition": condition.cpu().numpy(),
+        }
+        for name, density in (("target", target), ("pdf", pdf)):
+            image = torch.full((settings.count, n, n), math.nan).numpy()
+            image[:, column[:, 1], column[:, 0]] = density
+            arrays[name] = image
+        records = [Record("kl-mean", float(kl.mean()), unit="nats")]
+        return Outcome(records=records, arrays=arrays)
