@@ -19,22 +19,25 @@ from harness.scenes.shapes import sphere_mesh
 _UNTESTED = {"type": "diffuse", "reflectance": {"type": "rgb", "value": 0.3}}
 
 
-def integrator(sampling: str) -> dict[str, Any]:
-    """Direct light by a sample of the BSDF (``bsdf``), or by that and one of the light (``mis``)."""
-    return {
+def integrator(sampling: str = "bsdf") -> mi.Integrator:
+    """Moments of direct light.
+
+    By one sample of the BSDF (``bsdf``), or by that and one of the light (``mis``).
+    """
+    nested = {
         "type": "direct",
         "bsdf_samples": 1,
         "emitter_samples": 1 if sampling == "mis" else 0,
         "hide_emitters": True,
     }
+    return mi.load_dict({"type": "moment", "nested": nested})
 
 
-def build(scene: Scene, bsdf: Any, resolution: int, sampling: str = "bsdf") -> mi.Scene:
-    """The scene with ``bsdf`` on its tested shapes, ``resolution``^2 pixels, moments wanted."""
+def build(scene: Scene, bsdf: mi.BSDF, resolution: int) -> mi.Scene:
+    """The scene with ``bsdf`` on its tested shapes and ``resolution``^2 pixels."""
     camera = scene.camera
     description: dict[str, Any] = {
         "type": "scene",
-        "integrator": {"type": "moment", "nested": integrator(sampling)},
         "sensor": {
             "type": "perspective",
             "fov": camera.fov,
@@ -51,7 +54,7 @@ def build(scene: Scene, bsdf: Any, resolution: int, sampling: str = "bsdf") -> m
     return mi.load_dict(description)
 
 
-def build_xml(scene: XmlScene, key: str, resolution: int, sampling: str = "bsdf") -> mi.Scene:
+def build_xml(scene: XmlScene, key: str, resolution: int) -> mi.Scene:
     """The user's file with the BSDF of id ``replace_bsdf`` replaced by the pair offered as ``key``.
 
     Camera, lights and geometry stay the file's own; integrator and film become those of the

@@ -48,8 +48,10 @@ def evaluated_mode() -> Iterator[None]:
             dr.set_flag(f, value)
 
 
-def render(scene: mi.Scene, spp: int, seed: int, symbolic: bool = False) -> Pass:
-    """``spp`` samples per pixel from the scene's integrator, wrapped in ``moment``.
+def render(
+    scene: mi.Scene, integrator: mi.Integrator, spp: int, seed: int, symbolic: bool = False
+) -> Pass:
+    """``spp`` samples per pixel from a ``moment`` integrator.
 
     Split into passes of at most :data:`LANES` rays; pass k of seed s draws from its own
     stream, so renders of different seeds are independent. Finished when it returns.
@@ -62,7 +64,8 @@ def render(scene: mi.Scene, spp: int, seed: int, symbolic: bool = False) -> Pass
         for k, first in enumerate(range(0, spp, size)):
             count = min(size, spp - first)
             # Mitsuba mixes seed and lane into its streams: any distinct integers will do.
-            image = mi.render(scene, spp=count, seed=(seed * 4099 + k) % (1 << 32))
+            stream = (seed * 4099 + k) % (1 << 32)
+            image = mi.render(scene, integrator=integrator, spp=count, seed=stream)
             dr.eval(image)
             dr.sync_thread()
             part = np.asarray(image, dtype=np.float64) * count

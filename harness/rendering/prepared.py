@@ -18,12 +18,13 @@ class Prepared:
     """``render`` as often as wanted; ``mask`` [H, W] are the pixels that count."""
 
     scene: mi.Scene
+    integrator: mi.Integrator
     bsdf: mi.BSDF
     symbolic: bool = False
 
     def render(self, spp: int, seed: int) -> passes.Pass:
         """``spp`` samples per pixel; see :func:`passes.render`."""
-        return passes.render(self.scene, spp, seed, self.symbolic)
+        return passes.render(self.scene, self.integrator, spp, seed, self.symbolic)
 
     @cached_property
     def mask(self) -> np.ndarray:
@@ -37,13 +38,13 @@ def prepare(
     """The scene with ``material`` sampled by ``method``: direct light by BSDF samples alone."""
     if not isinstance(scene, XmlScene):
         bsdf = plugin.SampledBSDF(material, method)
-        return Prepared(build.build(scene, bsdf, resolution), bsdf)
+        return Prepared(build.build(scene, bsdf, resolution), build.integrator(), bsdf)
     # The method is part of the key by identity: two fits of one method are two pairs.
     key = build.scene_key(str(scene.file), material.name, method.name, str(id(method)))
     plugin.offer(key, material, method)
     loaded = build.build_xml(scene, key, resolution)
     placed = next(s.bsdf() for s in loaded.shapes() if isinstance(s.bsdf(), plugin.SampledBSDF))
-    return Prepared(loaded, placed)
+    return Prepared(loaded, build.integrator(), placed)
 
 
 def prepare_native(
@@ -63,4 +64,6 @@ def prepare_native(
         raise Unsupported(f"material '{material.name}' is no Mitsuba BSDF")
     if isinstance(scene, XmlScene):
         raise Unsupported("a scene of the user's file is rendered with the harness's BSDF only")
-    return Prepared(build.build(scene, bsdf, resolution, sampling), bsdf, symbolic=True)
+    return Prepared(
+        build.build(scene, bsdf, resolution), build.integrator(sampling), bsdf, symbolic=True
+    )
