@@ -1,0 +1,146 @@
+"""Throughput of adapters beside Mitsuba's own sampler and integrator."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import torch
+
+from harness import registry
+from harness.materials import registry as materials
+from harness.measures.base import Job
+from harness.measures.throughput import Throughput
+from harness.protocol import Budget, Material
+from harness.rendering import variant
+from harness.scenes import registry as scenes
+from harness.stats.intervals import median_interval
+
+RESOLUTION, SPP = 128, 16
+"""One pass of 262,144 camera rays."""
+
+
+@dataclass
+class Rows:
+    """A table to print."""
+
+    title: str
+    caption: str
+    columns: list[str]
+    cells: list[list[str]]
+
+
+def run(
+    names: list[str] | None,
+    material_name: str,
+    scene_name: str,
+    device: str,
+    rounds: int,
+    steps: int,
+    notify: Callable[[str], None],
+) -> Rows:
+    """Fit briefly, then time ``sample``, ``pdf`` and renders in interleaved rounds."""
+    variant.use(device)
+    material = materials.make(material_name or materials.names()[0])
+    scene = scenes.make(scene_name)
+    jobs = []
+    for name in names or registry.names():
+        method = registry.make(name)
+        supported, reason = method.supports(material)
+        if not supported:
+            notify(f"{name}: {reason}")
+            continue
+        notify(f"fitting {name}")
+        budget = Budget(steps=steps, pool=256, device=device)
+        method.fit(material, budget, torch.Generator().manual_seed(0))
+        jobs.append(_job(name, method, material, budget, rounds))
+    timed = Throughput().run(jobs, notify)
+    renders = _render_times(jobs, scene, material, rounds, notify)
+    cells = []
+    for job, outcome, seconds in zip(jobs, timed, renders[1:], strict=True):
+        value = {r.metric: r for r in outcome.records}
+        sample, pdf = value["samples-per-second"], value["pdf-queries-per-second"]
+        cells.append(
+            [
+                job.trial.name,
+                _millions(sample),
+                _millions(pdf),
+                f"{int(value['batch'].value):,}",
+                _milliseconds(seconds),
+                _ratio(seconds, renders[0]),
+            ]
+        )
+    cells.append(["Mitsuba alone", "", "", "", _milliseconds(renders[0]), "1"])
+    return Rows(
+        title=f"{material.name} on {device}: medians [95 % interval] of {rounds} rounds",
+        caption=(
+            f"render: {scene.name}, {RESOLUTION} x {RESOLUTION} pixels, direct light by BSDF"
+            f" sampling, passes of {SPP} spp; 'Mitsuba alone' is its own BSDF and sampler"
+        ),
+        columns=[
+            "method",
+            "M samples/s",
+            "M pdf queries/s",
+            "batch",
+            "render ms/spp",
+            "x Mitsuba alone",
+        ],
+        cells=cells,
+    )
+
+
+def _job(name: str, method, material: Material, budget: Budget, rounds: int) -> Job:
+    return Job(
+        trial=SimpleNamespace(name=name),
+        material=material,
+        method=method,
+        scene=None,
+        seed=0,
+        generator=torch.Generator().manual_seed(1),
+        settings={"rounds": rounds},
+        budget=budget,
+        out_dir=Path(),
+        make=lambda: registry.make(name),
+    )
+
+
+def _render_times(
+    jobs: list[Job], scene, material: Material, rounds: int, notify: Callable[[str], None]
+) -> list[np.ndarray]:
+    """Seconds per spp [rounds], of Mitsuba alone and then of every job."""
+    from harness.rendering.prepared import prepare, prepare_native
+
+    prepared = [prepare_native(scene, material, RESOLUTION, "bsdf")]
+    prepared += [prepare(scene, material, job.method, RESOLUTION) for job in jobs]
+    spp = []
+    for p in prepared:
+        p.render(1, seed=0)
+        # A method that needs seconds for one sample per pixel gets no more than that.
+        spp.append(SPP if p.render(1, seed=1).seconds < 0.2 else 1)
+    for p, count in zip(prepared, spp, strict=True):
+        p.render(count, seed=2)
+    times: list[list[float]] = [[] for _ in prepared]
+    for number in range(rounds):
+        notify(f"rendering round {number + 1} of {rounds}")
+        for i, p in enumerate(prepared):
+            times[i].append(p.render(spp[i], seed=10 + number).seconds / spp[i])
+    return [np.array(t) for t in times]
+
+
+def _millions(record) -> str:
+    value, low, high = (v / 1e6 for v in (record.value, record.ci_low, record.ci_high))
+    return f"{value:.3g} [{low:.3g}, {high:.3g}]"
+
+
+def _milliseconds(seconds: np.ndarray) -> str:
+    value, low, high = (v * 1e3 for v in median_interval(seconds))
+    return f"{value:.3g} [{low:.3g}, {high:.3g}]"
+
+
+def _ratio(seconds: np.ndarray, native: np.ndarray) -> str:
+    """Median of the ratios within rounds."""
+    value, low, high = median_interval(seconds / native)
+    return f"{value:.3g} [{low:.3g}, {high:.3g}]"

@@ -1,0 +1,38 @@
+"""``harness bench``: how fast each adapter is, alone and in a render."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+
+def register(app: typer.Typer) -> None:
+    """Add the verb to ``app``."""
+
+    @app.command()
+    def bench(
+        methods: Annotated[
+            list[str] | None, typer.Argument(help="Methods to time; all of them by default.")
+        ] = None,
+        material: Annotated[str, typer.Option(help="Material to sample.")] = "",
+        scene: Annotated[str, typer.Option(help="Scene to render.")] = "uniform-sphere",
+        device: Annotated[str, typer.Option(help="cpu or cuda")] = "cpu",
+        rounds: Annotated[int, typer.Option(help="Interleaved rounds.")] = 11,
+        steps: Annotated[int, typer.Option(help="Fitting steps before timing.")] = 60,
+    ) -> None:
+        """Time samples, pdf queries and renders, beside Mitsuba's own path tracer."""
+        from rich.console import Console
+        from rich.table import Table
+
+        from harness.bench import run
+
+        console = Console()
+        with console.status("preparing") as status:
+            rows = run(methods, material, scene, device, rounds, steps, status.update)
+        table = Table(title=rows.title, caption=rows.caption)
+        for i, name in enumerate(rows.columns):
+            table.add_column(name, justify="left" if i == 0 else "right")
+        for row in rows.cells:
+            table.add_row(*row)
+        console.print(table)
