@@ -1,0 +1,76 @@
+"""The named scenes. A function's keyword arguments are what a suite may set."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from harness.scenes.base import Camera, Scene, Sphere
+from harness.scenes.environment import open_shade, studio
+from harness.scenes.shapes import cloth_mesh
+
+EFFECTS = ("environment",)
+
+# Just wide enough for the unit sphere, which spans 2 asin(1 / 4) = 28.96 degrees.
+_AT_SPHERE = Camera(origin=(0.0, 0.0, 4.0), target=(0.0, 0.0, 0.0), fov=29.6)
+_AT_CLOTH = Camera(origin=(0.0, 0.0, 5.0), target=(0.0, 0.0, 0.0), fov=24.0)
+
+
+def _sphere(texture_repeat: float) -> Sphere:
+    # A full turn of u is twice as long as v from pole to pole.
+    return Sphere(uv_scale=(2 * texture_repeat, texture_repeat))
+
+
+def uniform_sphere(radiance: float = 1.0, texture_repeat: float = 2.0) -> Scene:
+    """Sphere in constant light: only the BSDF shapes the integrand."""
+    return Scene(
+        "uniform-sphere",
+        EFFECTS,
+        (_sphere(texture_repeat),),
+        radiance,
+        _AT_SPHERE,
+        "a sphere in constant light",
+    )
+
+
+def studio_sphere(texture_repeat: float = 2.0) -> Scene:
+    """Sphere in a photographer's studio: small bright lamps in a dim room."""
+    return Scene(
+        "studio-sphere",
+        EFFECTS,
+        (_sphere(texture_repeat),),
+        studio(),
+        _AT_SPHERE,
+        "a sphere under studio softboxes",
+    )
+
+
+def draped_cloth(texture_repeat: float = 2.0) -> Scene:
+    """Draped cloth in open shade: broad light and one low, hazy sun."""
+    return Scene(
+        "draped-cloth",
+        EFFECTS,
+        (cloth_mesh(texture_repeat),),
+        open_shade(),
+        _AT_CLOTH,
+        "a hanging cloth in open shade",
+    )
+
+
+def uniform_cloth(radiance: float = 1.0, texture_repeat: float = 2.0) -> Scene:
+    """Draped cloth in constant light."""
+    return Scene(
+        "uniform-cloth",
+        EFFECTS,
+        (cloth_mesh(texture_repeat),),
+        radiance,
+        _AT_CLOTH,
+        "a hanging cloth in constant light",
+    )
+
+
+SCENES: dict[str, Callable[..., Scene]] = {
+    "uniform-sphere": uniform_sphere,
+    "studio-sphere": studio_sphere,
+    "draped-cloth": draped_cloth,
+    "uniform-cloth": uniform_cloth,
+}
