@@ -14,7 +14,7 @@ class Cosine(ColumnMethod):
 
     .. math:: p_\perp(\omega) = \frac{1}{\pi}, \qquad p_\sigma(\omega) = \frac{\cos\theta}{\pi}
 
-    Uses two uniforms. Every sample is valid.
+    Uses two uniforms. Every sample is valid, but for rounding at the rim.
     """
 
     name = "cosine"
@@ -24,7 +24,9 @@ class Cosine(ColumnMethod):
         """See :meth:`ColumnMethod.sample_columns`."""
         radius = dr.sqrt(u[0])
         sin, cos = dr.sincos(2 * math.pi * u[1])
-        return radius * cos, radius * sin, dr.full(type(u[0]), 1 / math.pi, dr.width(u[0]))
+        x, y = radius * cos, radius * sin
+        # The largest radii may round onto the rim, where there is no direction.
+        return x, y, self.pdf_columns(c, [x, y])
 
     def pdf_columns(self, c: Columns, wo: Columns) -> Float:
         """See :meth:`ColumnMethod.pdf_columns`."""

@@ -122,7 +122,6 @@ def tabulate(
         jitter = None
         if generator is not None:
             jitter = torch.rand(len(rows), count, 2, generator=generator).to(device)
-        wo = cells(resolution, jitter, device).expand(len(rows), count, 2)
-        flat = material.target(rows.repeat_interleave(count, 0), wo.reshape(-1, 2))
-        value[start : start + step] = flat.view(len(rows), count)
+        wo = cells(resolution, jitter, device)
+        value[start : start + step] = material.target_grid(rows, wo.view(-1, count, 2))
     return value.view(-1, resolution, resolution)

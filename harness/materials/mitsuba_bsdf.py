@@ -81,6 +81,21 @@ class MitsubaMaterial(Material):
             f = self.eval_columns(columns_of(condition), columns_of(wo))
             return tensor_of(dr.abs(_mi().luminance(f)), rows=n)
 
+    def target_grid(self, condition: Tensor, wo: Tensor) -> Tensor:
+        """See :meth:`Material.target_grid`; rows and directions are gathered in the kernel."""
+        n, m = len(condition), wo.shape[1]
+        if n * m == 0:
+            return condition.new_empty(n, m)
+        with torch.inference_mode():
+            c, (x, y) = columns_of(condition), columns_of(wo.reshape(-1, 2))
+            mi = _mi()
+            index = dr.arange(mi.UInt32, n * m)
+            row = index // m
+            point = index if len(wo) == n else index % m
+            wide = [dr.gather(mi.Float, column, row) for column in c]
+            f = self.eval_columns(wide, [dr.gather(mi.Float, v, point) for v in (x, y)])
+            return tensor_of(dr.abs(mi.luminance(f)), rows=n * m).view(n, m)
+
     def eval_columns(self, c: Columns, wo: Columns) -> Any:
         """BSDF without cosine over columns: a Mitsuba colour."""
         mi = _mi()
@@ -170,9 +185,7 @@ class MitsubaMaterial(Material):
                 " expected rough lobes only"
             )
         if mi.has_flag(flags, mi.BSDFFlags.Transmission):
-            raise InputError(
-                f"material '{self.name}': transmits light; expected a reflective BSDF"
-            )
+            raise InputError(f"material '{self.name}': transmits light; expected a reflective BSDF")
 
 
 def _with_bitmaps(mi: Any, node: Any) -> Any:

@@ -58,14 +58,14 @@ class Pdf(Measure):
         step = max(1, _ROWS // count)
         for rows in torch.split(condition, step):
             jitter = torch.rand(len(rows), count, 2, generator=job.generator).to(device)
-            wo = cells(settings.resolution, jitter, device).reshape(-1, 2)
-            many = rows.repeat_interleave(count, 0)
-            value = job.material.target(many, wo).view(len(rows), count).double()
+            wo = cells(settings.resolution, jitter, device)
+            value = job.material.target_grid(rows, wo).double()
             total = value.sum(1, keepdim=True)
             # A black condition has no p* to be compared with.
             lit = total[:, 0] > 0
             target = value[lit] / total[lit] * (count / math.pi)
-            pdf = job.method.pdf(many, wo).view(len(rows), count)[lit].double()
+            many = rows.repeat_interleave(count, 0)
+            pdf = job.method.pdf(many, wo.reshape(-1, 2)).view(len(rows), count)[lit].double()
             p_star, p = target.cpu().numpy(), pdf.cpu().numpy()
             for name, (function, _) in _DIVERGENCES.items():
                 found[name].append(function(p_star, p))

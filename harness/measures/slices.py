@@ -43,7 +43,7 @@ class Slices(Measure):
         points = wo.repeat(settings.count, 1)
         shape = (settings.count, len(wo))
         area = (2 / n) ** 2
-        value = job.material.target(rows, points).view(shape).double()
+        value = job.material.target_grid(condition, wo[None]).double()
         target = (value / (value.sum(1, keepdim=True) * area)).cpu().numpy()
         pdf = job.method.pdf(rows, points).view(shape).double().cpu().numpy()
         kl = kl_divergence(target, pdf, area * len(wo))

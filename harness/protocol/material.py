@@ -60,3 +60,12 @@ class Material(ABC):
         of least variance for a signed integrand, and it covers those places too.
         """
         return luminance(self.eval(condition, wo)).abs()
+
+    def target_grid(self, condition: Tensor, wo: Tensor) -> Tensor:
+        """:meth:`target` of every condition [N, C] at all its directions [N or 1, M, 2]: [N, M].
+
+        For tables. A material that can avoid the copies of the rows overrides it.
+        """
+        n, m = len(condition), wo.shape[1]
+        rows = condition.repeat_interleave(m, 0)
+        return self.target(rows, wo.expand(n, m, 2).reshape(-1, 2)).view(n, m)

@@ -1,0 +1,59 @@
+"""The baseline as first published: a Gaussian that stays on the mirror direction."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import torch
+from torch import Tensor, nn
+
+from harness.columns import Columns
+from harness.fitting import LobeMethod
+from harness.nets import ConditionalMLP, lobes
+from harness.protocol import Material
+
+
+class FanBaseline(LobeMethod):
+    r"""A Lambertian and one isotropic Gaussian lobe whose mean is not predicted.
+
+    After Fan et al. (2022), Neural Layered BRDFs, in the form in which Xu et al. (2023,
+    NeuSample, section 3.1) describe it as the baseline that they improve:
+
+    .. math:: p(\omega) = w\,\tfrac{1}{\pi} + (1 - w)\,
+              \mathcal{N}(\omega; -\omega_{i,\perp}, \sigma)
+
+    Only the scalar :math:`\sigma` and the weight come from the network. The lobe sits on
+    the mirror direction of the *shading* frame, so it misses the highlight wherever the
+    material has normals of its own; NeuSample expects it to lose to cosine sampling there.
+
+    The network is that of ``improved-baseline`` (30-32-32-32-3 with eight features), so the
+    two differ in the mean alone. Density per disk area; what the Gaussian puts off the disk
+    are invalid samples. Uses three uniforms.
+    """
+
+    name = "fan-baseline"
+    learning_rate: ClassVar[float] = 2e-3
+
+    def __init__(self, width: int = 32, layers: int = 3):
+        self.width, self.layers = width, layers
+
+    def build(self, material: Material) -> nn.Module:
+        """Outputs: log sigma, and the logits of the two weights."""
+        return ConditionalMLP(material, [self.width] * self.layers, 3)
+
+    def lobes(self, condition: Tensor) -> lobes.Lobes:
+        """See :meth:`LobeMethod.lobes`."""
+        out = self.module(condition)
+        sigma = lobes.log_sigma(out[..., :1]).expand(*out.shape[:-1], 2)
+        mean = -condition[..., -2:]
+        return lobes.Lobes(
+            torch.log_softmax(out[..., 1:], -1), mean[..., None, :], sigma[..., None, :]
+        )
+
+    def lobes_columns(self, c: Columns) -> lobes.ColumnLobes:
+        """See :meth:`LobeMethod.lobes_columns`."""
+        raw, *logits = self.module.columns(c)
+        sigma = lobes.log_sigma_columns(raw)
+        return lobes.ColumnLobes(
+            lobes.softmax_columns(logits), [(-c[-2], -c[-1])], [(sigma, sigma)]
+        )
