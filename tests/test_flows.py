@@ -1,0 +1,377 @@
+"""The normalizing flows: splines, couplings, and the two methods made of them."""
+
+from __future__ import annotations
+
+import math
+
+import drjit as dr
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.stats import chi2
+from zuko.transforms import MonotonicRQSTransform
+
+from harness.columns import columns_of, tensor_of
+from harness.nets import spline
+from harness.protocol import InputError, Material, inside_disk
+from methods.neural_spline_flow import NeuralSplineFlow
+from methods.realnvp import RealNVP
+
+BELOW_ONE = 1 - 2**-24
+
+
+class Plain(Material):
+    name, n_features = "plain", 8
+
+    def eval(self, condition, wo):
+        return inside_disk(wo)[:, None].float().expand(-1, 3)
+
+    def places(self, uv):
+        return torch.sin(uv @ torch.arange(16.0).view(2, 8))
+
+    def identity(self):
+        return {"name": self.name}
+
+
+def random_raw(seed: int, scale: float, n: int = 400, bins: int = 20) -> torch.Tensor:
+    g = torch.Generator().manual_seed(seed)
+    return torch.randn(n, spline.outputs(bins), generator=g) * scale
+
+
+def corners(raw: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    """Knots and derivatives straight from their definition, in double precision."""
+    raw = raw.double()
+    bins = (raw.shape[-1] + 1) // 3
+    m = spline.MINIMUM
+
+    def knots(logits):
+        size = 2 * (m + (1 - m * bins) * torch.softmax(logits, -1))
+        return torch.cat([torch.zeros_like(size[:, :1]), size.cumsum(-1)], -1) - 1
+
+    d = raw[:, 2 * bins :]
+    d = m + torch.log1p(torch.exp(d / (1 + d.abs() / 1e3)) * math.expm1(1 - m))
+    one = torch.ones_like(d[:, :1])
+    return knots(raw[:, :bins]), knots(raw[:, bins : 2 * bins]), torch.cat([one, d, one], -1)
+
+
+def zuko_spline(raw: torch.Tensor) -> MonotonicRQSTransform:
+    """An independent spline through the same knots."""
+    x, y, d = corners(raw)
+    theirs = MonotonicRQSTransform(x[:, 1:], y[:, 1:], d[:, 1:-1], bound=1.0)
+    theirs.horizontal, theirs.vertical, theirs.derivatives = x, y, d
+    return theirs
+
+
+def run(function, *inputs: torch.Tensor) -> torch.Tensor:
+    """A column function of ``(raw, value)`` as a tensor, an output a column."""
+    raw, value = inputs
+    out = function(columns_of(raw), columns_of(value[:, None])[0])
+    return tensor_of(*out, rows=len(value))
+
+
+def unwarp_columns(raw, y):
+    """``(x, y, dy/dx)``, the last two at the rounded ``x``."""
+    x, b = spline.unwarp_columns(raw, y)
+    return x, *spline.evaluate_columns(b, x)
+
+
+@pytest.mark.parametrize("bins", [2, 3, 20])
+@pytest.mark.parametrize("scale", [0.0, 1.0, 8.0])
+def test_spline_agrees_with_zuko(bins, scale):
+    raw = random_raw(1, scale, bins=bins)
+    x = torch.empty(len(raw), dtype=torch.float64).uniform_(-1.2, 1.2)
+    y, ladj = zuko_spline(raw).call_and_ladj(x)
+    ours, slope = spline.warp(raw.double(), x)
+    # zuko's slope goes to its boundary value outside, not to one; that is one here as well.
+    torch.testing.assert_close(ours, y, rtol=1e-7, atol=1e-9)
+    inside = x.abs() < 1
+    torch.testing.assert_close(slope[inside], ladj[inside], rtol=1e-6, atol=1e-6)
+    # zuko's own inverse cancels; its forward map is the reference for ours.
+    back = zuko_spline(raw).call_and_ladj(spline.unwarp(raw.double(), y))[0]
+    torch.testing.assert_close(back, y, rtol=1e-7, atol=1e-9)
+
+
+@settings(deadline=None, max_examples=60)
+@given(st.integers(0, 10**6), st.floats(0, 200), st.sampled_from([2, 5, 20]))
+def test_spline_inverts_in_double_precision(seed, scale, bins):
+    raw = random_raw(seed, scale, 200, bins).double()
+    x = torch.linspace(-1.1, 1.1, 200, dtype=torch.float64)
+    y, log_slope = spline.warp(raw, x)
+    assert torch.isfinite(log_slope).all()
+    back = spline.unwarp(raw, y)
+    # The inverse is as steep as exp(-log_slope): rounding of y is magnified by it.
+    assert ((back - x).abs() <= 1e-13 * (10 + torch.exp(-log_slope) + 2e3)).all()
+    assert ((spline.warp(raw, back)[0] - y).abs() <= 1e-9).all()
+
+
+@settings(deadline=None, max_examples=60)
+@given(st.integers(0, 10**6), st.floats(0, 1e6))
+def test_spline_columns_are_finite_monotone_and_consistent(seed, scale):
+    raw = random_raw(seed, scale, 1, 20).expand(2001, -1).contiguous()
+    y = torch.linspace(-1.2, 1.2, 2001)
+    x, again, slope = run(unwarp_columns, raw, y).unbind(-1)
+    assert torch.isfinite(x).all() and torch.isfinite(slope).all() and (slope > 0).all()
+    assert (x.diff() >= -3e-7).all()
+    forward = run(spline.warp_columns, raw, x)
+    # A sample in the last bit of a bin may be found in its neighbour, up to 1000 times steeper.
+    torch.testing.assert_close(forward[:, 0], again, rtol=0, atol=3e-4)
+    assert ((forward[:, 0] - again).abs() <= 1e-6).float().mean() > 0.99
+    assert ((forward[:, 1] - slope).abs() <= 1e-4 * slope).float().mean() > 0.99
+
+
+def test_log_slope_is_the_autograd_jacobian():
+    raw = random_raw(3, 2.0, 1)[0].double()
+    x = torch.linspace(-1.3, 1.3, 41, dtype=torch.float64)
+    jacobian = torch.autograd.functional.jacobian(
+        lambda v: spline.warp(raw.expand(41, -1), v)[0], x
+    )
+    expected = jacobian.diagonal().log()
+    torch.testing.assert_close(spline.warp(raw.expand(41, -1), x)[1], expected)
+    assert jacobian.fill_diagonal_(0).abs().max() == 0
+
+
+def test_gradients_are_finite_everywhere():
+    raw = random_raw(4, 30.0).requires_grad_()
+    x = torch.linspace(-3, 3, len(raw)).requires_grad_()
+    y, log_slope = spline.warp(raw, x)
+    (y.sum() + log_slope.sum()).backward()
+    assert torch.isfinite(raw.grad).all() and torch.isfinite(x.grad).all()
+
+
+@pytest.mark.parametrize("scale", [1.0, 5.0])
+def test_spline_twins_agree(scale):
+    raw = random_raw(5, scale, 4000)
+    x = torch.empty(4000).uniform_(-1.1, 1.1)
+    y, log_slope = spline.warp(raw.double(), x.double())
+    ours = run(spline.warp_columns, raw, x).double()
+    # Knots are rounded to 1e-7, which a steep bin magnifies by its slope.
+    assert ((ours[:, 0] - y).abs() <= 1e-6 * (1 + log_slope.exp())).float().mean() > 0.999
+    error = (ours[:, 1] / log_slope.exp() - 1).abs()
+    assert error.quantile(0.99) < 1e-4 * scale
+
+
+def test_zeros_are_the_identity():
+    x = torch.linspace(-1.5, 1.5, 301)
+    out = run(spline.warp_columns, torch.zeros(301, 59), x)
+    torch.testing.assert_close(out[:, 0], x, rtol=0, atol=3e-7)
+    torch.testing.assert_close(out[:, 1], torch.ones(301), rtol=2e-6, atol=0)
+
+
+@pytest.mark.parametrize("function", [spline.warp_columns, unwarp_columns])
+def test_edges(function):
+    raw = random_raw(6, 3.0, 6)
+    near = torch.tensor([-1.0, 1.0, -BELOW_ONE, BELOW_ONE, -1.5, 7e4])
+    out = run(function, raw, near)
+    torch.testing.assert_close(out[:, 0], near, rtol=0, atol=2e-4)
+    outside = near.abs() >= 1
+    assert (out[outside, 0] == near[outside]).all() and (out[outside, -1] == 1).all()
+    # Continuous slope: the last bit inside has nearly the slope outside.
+    torch.testing.assert_close(out[:, -1], torch.ones(6), rtol=0.02, atol=0)
+
+
+def test_slope_is_continuous_across_knots():
+    raw = random_raw(7, 1.0, 500)
+    x, y, d = corners(raw)
+    for k in range(1, 20):
+        for side in (-1, 1):
+            at = x[:, k].float() * (1 + side * 2**-23)
+            out = run(spline.warp_columns, raw, at).double()
+            torch.testing.assert_close(out[:, 0], y[:, k], rtol=0, atol=1e-5)
+            assert ((out[:, 1] - d[:, k]).abs() / d[:, k]).quantile(0.9) < 1e-3
+
+
+METHODS = {
+    "spline-disk": lambda: NeuralSplineFlow(exact=False),
+    "spline-square": lambda: NeuralSplineFlow(domain="square", exact=False),
+    "spline-exact": lambda: NeuralSplineFlow(),
+    "spline-square-exact": lambda: NeuralSplineFlow(domain="square"),
+    "spline-exact-small": lambda: NeuralSplineFlow(width=16, bins=5, frequencies=2),
+    "realnvp": lambda: RealNVP(),
+    "realnvp-trainable": lambda: RealNVP(base="trainable"),
+}
+
+
+def make(kind: str, scale: float = 1.0, seed: int = 0):
+    """A flow with random weights, its last layers' of the size ``scale``."""
+    method = METHODS[kind]()
+    torch.manual_seed(seed)
+    method.bind(Plain())
+    with torch.no_grad():
+        for name, p in method.module.named_parameters():
+            if p.abs().max() < 1 and ("layers.2" in name or "base" in name):
+                size = 0.5 if "spline" in kind and "base" not in name else 0.15
+                p.add_(torch.randn_like(p) * scale * size)
+    return method
+
+
+def inputs(n: int, seed: int = 0) -> tuple[torch.Tensor, torch.Tensor]:
+    g = torch.Generator().manual_seed(seed)
+    return Plain().conditions(n, g), torch.rand(n, 3, generator=g)
+
+
+@pytest.fixture(params=METHODS)
+def kind(request):
+    return request.param
+
+
+@pytest.mark.parametrize("scale", [0.0, 0.3, 1.0])
+def test_sample_pdf_is_pdf_of_the_sample(kind, scale):
+    method = make(kind, scale)
+    condition, u = inputs(20000)
+    wo, pdf = method.sample(condition, u)
+    again = method.pdf(condition, wo)
+    assert torch.isfinite(wo).all() and torch.isfinite(pdf).all()
+    close = (again - pdf).abs() <= 1e-4 * pdf + 1e-30
+    everywhere = scale < 1 or "spline" not in kind or "exact" in kind
+    assert close.all() if everywhere else close.float().mean() > 0.999
+
+
+@pytest.mark.parametrize("scale", [0.0, 0.3, 1.0])
+def test_twins_agree(kind, scale):
+    method = make(kind, scale)
+    condition, u = inputs(20000)
+    wo, pdf = method.sample(condition, u)
+    method.module.double()
+    with torch.no_grad():
+        torch64 = method.log_prob(condition.double(), wo[:, None].double())[:, 0]
+    error = (pdf.double().log() - torch64).abs()
+    assert error.quantile(0.999) < 1e-4 and error.max() < 2e-3
+
+
+def test_log_prob_is_the_base_times_the_jacobian(kind):
+    """The whole map's Jacobian by autograd, its determinant against the density."""
+    method = make(kind, 0.5)
+    net = method.module.double()
+    condition = inputs(8)[0].double()
+    encoded = net.encoder(condition)
+    wo = torch.empty(8, 2, dtype=torch.float64).uniform_(-0.6, 0.6)
+
+    def density_of(v):
+        x, y = v[:, None].unbind(-1)
+        if "square" in kind:
+            x = x / (1 - y * y).sqrt()
+        if "spline" in kind:
+            x = spline.warp(net.x_given_y(y, encoded), x)[0]
+            y = spline.warp(net.y_given_x(x, encoded), y)[0]
+        else:
+            for net_, order in ((net.x_given_y, 0), (net.y_given_x, 1)):
+                given = (y, x)[order]
+                raw, shift = net_(given, encoded).unbind(-1)
+                moved = (x, y)[order] * (10 * torch.tanh(raw / 10)).exp() + shift
+                x, y = (moved, y) if order == 0 else (x, moved)
+        return torch.cat([x, y], -1)
+
+    full = torch.autograd.functional.jacobian(density_of, wo)
+    index = torch.arange(8)
+    log_det = torch.linalg.slogdet(full[index, :, index]).logabsdet
+    z = density_of(wo)
+    if "spline" in kind:
+        mean, raw = net.base(encoded).chunk(2, -1)
+    else:
+        mean, raw = net.mean, net.raw_sigma
+    normal = torch.distributions.Normal(mean, (10 * torch.tanh(raw / 10)).exp())
+    expected = normal.log_prob(z).sum(-1) + log_det
+    torch.testing.assert_close(method.log_prob(condition, wo[:, None])[:, 0], expected)
+
+
+def test_samples_follow_the_density(kind):
+    """Chi-square over a grid of the square around the disk, plus everything beyond it."""
+    method = make(kind, 0.6, seed=2)
+    n, bins, fine = 400_000, 24, 32
+    one = inputs(1, seed=5)[0]
+    u = torch.rand(n, 3, generator=torch.Generator().manual_seed(9))
+    wo = method.sample(one.expand(n, -1), u).wo
+    cell = ((wo + 1) * (bins / 2)).floor().long()
+    within = ((cell >= 0) & (cell < bins)).all(-1)
+    flat = cell[within, 0] * bins + cell[within, 1]
+    observed = torch.bincount(flat, minlength=bins * bins).double()
+    side = (torch.arange(bins * fine, dtype=torch.float64) + 0.5) / (bins * fine) * 2 - 1
+    points = torch.cartesian_prod(side, side).float()
+    pdf = method.pdf(one.expand(len(points), -1), points).double()
+    mass = pdf.view(bins, fine, bins, fine).sum((1, 3)).flatten() * (2 / (bins * fine)) ** 2
+    expected = mass * n
+    observed = torch.cat([observed, torch.tensor([float(n - within.sum())])])
+    expected = torch.cat([expected, (n - expected.sum()).clamp(min=1e-3)[None]])
+    # Pool by expected count, never by the observed one, so that a missing lobe shows.
+    order = expected.argsort()
+    small = expected[order].cumsum(0) < 20
+    pooled = [(expected[order][small].sum(), observed[order][small].sum())]
+    pooled += list(zip(expected[order][~small], observed[order][~small], strict=True))
+    pooled = [(float(e), float(o)) for e, o in pooled if e > 5]
+    statistic = sum((o - e) ** 2 / e for e, o in pooled)
+    assert chi2.sf(statistic, len(pooled) - 1) > 1e-4
+
+
+def test_integral_over_the_disk_is_the_share_of_valid_samples(kind):
+    from harness.fitting.targets import cells
+
+    method = make(kind, 0.3)
+    one = inputs(1)[0]
+    points = cells(512)
+    integral = method.pdf(one.expand(len(points), -1), points).mean() * math.pi
+    u = torch.rand(200_000, 3, generator=torch.Generator().manual_seed(1))
+    valid = inside_disk(method.sample(one.expand(len(u), -1), u).wo).float().mean()
+    assert abs(integral - valid) < 5e-3
+
+
+def test_corners_of_the_uniforms(kind):
+    method = make(kind, 1.0)
+    values = torch.tensor([0.0, 2**-24, 0.5, BELOW_ONE])
+    u = torch.cartesian_prod(values, values, values)
+    condition = inputs(len(u))[0]
+    before = condition.clone(), u.clone()
+    wo, pdf = method.sample(condition, u)
+    assert torch.isfinite(wo).all() and torch.isfinite(pdf).all() and (pdf >= 0).all()
+    torch.testing.assert_close(method.pdf(condition, wo), pdf, rtol=1e-4, atol=1e-30)
+    assert (condition == before[0]).all() and (u == before[1]).all()
+
+
+@pytest.mark.parametrize("at", [[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [1.0, 1.0], [3.0, -7.0]])
+def test_density_at_the_rim_and_beyond_is_finite(kind, at):
+    method = make(kind, 0.5)
+    condition = inputs(64)[0]
+    for wo in (torch.tensor(at), torch.tensor(at) * BELOW_ONE):
+        pdf = method.pdf(condition, wo.expand(64, 2).contiguous())
+        assert torch.isfinite(pdf).all() and (pdf >= 0).all()
+
+
+def test_none_one_and_nan_rows(kind):
+    method = make(kind, 0.5)
+    condition, u = inputs(9)
+    assert method.sample(condition[:0], u[:0]).wo.shape == (0, 2)
+    all_rows = method.sample(condition, u)
+    single = method.sample(condition[:1], u[:1])
+    torch.testing.assert_close(single.wo, all_rows.wo[:1], rtol=1e-5, atol=1e-6)
+    spoiled = condition.clone()
+    spoiled[4] = math.nan
+    wo, pdf = method.sample(spoiled, u)
+    others = torch.arange(9) != 4
+    assert (wo[others] == all_rows.wo[others]).all() and torch.isnan(pdf[4])
+    assert (pdf[others] == all_rows.pdf[others]).all()
+
+
+def test_state_round_trip(kind):
+    method, fresh = make(kind, 0.7), METHODS[kind]()
+    fresh.bind(Plain())
+    fresh.load_state_dict(method.state_dict())
+    condition, u = inputs(100)
+    assert (fresh.sample(condition, u).wo == method.sample(condition, u).wo).all()
+
+
+def test_an_unknown_choice_is_refused():
+    with pytest.raises(InputError, match="'disk' or 'square'"):
+        NeuralSplineFlow(domain="cube")
+    with pytest.raises(InputError, match="'fixed' or 'trainable'"):
+        RealNVP(base="none")
+    with pytest.raises(InputError, match="bins"):
+        NeuralSplineFlow(bins=1)
+
+
+def test_paper_sizes():
+    method = NeuralSplineFlow()
+    method.bind(Plain())
+    shapes = [tuple(layer.weight.shape) for layer in method.module.x_given_y.mlp.layers]
+    assert shapes == [(32, 39), (32, 32), (59, 32)]
+    assert [tuple(layer.weight.shape) for layer in method.module.base.layers] == [(32, 30), (4, 32)]
+    assert dr.width(columns_of(torch.zeros(3, 1))[0]) == 3
