@@ -1,0 +1,51 @@
+"""``harness list``: what there is to name in a suite."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Annotated
+
+import typer
+
+KINDS = ("methods", "materials", "scenes", "measures", "suites")
+
+
+def register(app: typer.Typer) -> None:
+    """Add the verb to ``app``."""
+
+    @app.command("list")
+    def list_(
+        kind: Annotated[str, typer.Argument(help=", ".join(KINDS))],
+    ) -> None:
+        """Print the names of all methods, materials, scenes, measures or suites."""
+        from harness.protocol import InputError, nearest
+
+        if kind not in KINDS:
+            raise InputError(f"list: cannot list '{kind}'{nearest(kind, KINDS)}")
+        names, describe = _registry(kind)
+        rows = {name: describe(name) for name in names}
+        width = max(map(len, rows), default=0)
+        for name, text in rows.items():
+            print(f"{name:{width}}  {text}".rstrip())
+
+
+def _registry(kind: str) -> tuple[list[str], Callable[[str], str]]:
+    if kind == "methods":
+        from harness import registry
+
+        return registry.names(), registry.describe
+    if kind == "materials":
+        from harness.materials import registry as materials
+
+        return materials.names(), materials.describe
+    if kind == "scenes":
+        from harness.scenes import registry as scenes
+
+        return scenes.names(), scenes.describe
+    if kind == "measures":
+        from harness.measures import registry as measures
+
+        return measures.names(), measures.describe
+    from harness.suite import load
+
+    return load.names(), load.describe

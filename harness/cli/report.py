@@ -1,0 +1,33 @@
+"""``harness report RESULTS_DIR``: tables, figures and html, from stored results only."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+
+def register(app: typer.Typer) -> None:
+    """Add the verb to ``app``."""
+
+    @app.command()
+    def report(
+        results_dir: Annotated[Path, typer.Argument(help="A folder that harness run wrote.")],
+    ) -> None:
+        """Make tables and figures again from what is stored; nothing is computed."""
+        from rich.console import Console
+
+        from harness import report as reports
+        from harness import store
+        from harness.protocol import InputError, nearest
+
+        if not results_dir.is_dir():
+            beside = [p.parent.name for p in results_dir.parent.glob("*/plan.json")]
+            raise InputError(f"no such folder: {results_dir}{nearest(results_dir.name, beside)}")
+        store.load_plan(results_dir)  # says so if the folder holds no results
+        console = Console(highlight=False)
+        files = reports.make(results_dir, lambda text: console.print(text, soft_wrap=True))
+        reports.print_tables(results_dir, console)
+        for file in files:
+            console.print(str(file), soft_wrap=True)

@@ -1,0 +1,32 @@
+"""``harness validate SUITE.yaml``: would it run?"""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+
+def register(app: typer.Typer) -> None:
+    """Add the verb to ``app``."""
+
+    @app.command()
+    def validate(
+        suite: Annotated[str, typer.Argument(help="A suite: a .yaml file, or a name of suites/.")],
+        device: Annotated[str, typer.Option(help="cpu or cuda.")] = "cpu",
+    ) -> None:
+        """Check every name, key, type, file and adapter of a suite, in all its profiles."""
+        from harness.runner import preflight
+        from harness.suite.load import load
+        from harness.suite.plan import make_plan
+
+        loaded = load(suite)
+        preflight.ready(device)
+        for profile in loaded.suite.profiles or (None,):
+            plan = make_plan(loaded, profile, device)
+            preflight.check_report(plan)
+            preflight.check_trials(plan, plan.trials)
+            size = " x ".join(
+                f"{len(plan.labels(kind))} {kind}s" for kind in ("material", "method", "measure")
+            )
+            print(f"{loaded.path}: {profile or 'no profile'}: {len(plan.trials)} trials ({size})")

@@ -1,0 +1,31 @@
+"""Images as OpenEXR in half precision, through Mitsuba's bitmaps."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+
+def write(path: Path, image: np.ndarray) -> None:
+    """Store ``image`` [H, W, 3] (or [H, W]), linear, as 16-bit floats."""
+    core = _core()
+    data = np.ascontiguousarray(image, dtype=np.float32)
+    core.Bitmap(data).convert(component_format=core.Struct.Type.Float16).write(str(path))
+
+
+def read(path: Path) -> np.ndarray:
+    """An image as float32 [H, W, 3] (or [H, W, 1])."""
+    return np.array(_core().Bitmap(str(path))).astype(np.float32)
+
+
+def _core() -> Any:
+    """The part of Mitsuba that all variants share.
+
+    Bitmaps do not depend on the variant; to choose one here would decide for the renders
+    that may follow in the same process.
+    """
+    import mitsuba
+
+    return mitsuba.mitsuba_ext

@@ -1,0 +1,75 @@
+"""The measure that all others need: fit a method, keep its state, say what that took."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+import torch
+
+from harness.measures.base import Job, Measure, Outcome, Record
+from harness.measures.guard import BadAdapter, guard, state_of
+from harness.protocol import FitReport, Material, Method, Unsupported
+
+
+class Fit(Measure):
+    """Seconds of fitting and of loading, and the size of what was fitted.
+
+    ``fit-seconds`` is the whole of ``method.fit``; ``data-seconds`` and ``optimise-seconds``
+    are its parts as the method reports them. ``load-seconds`` is what a renderer waits for:
+    from the state in memory to the first sample of a new method, so that a compilation
+    counts here and never in a steady-state figure.
+    """
+
+    name = "fit"
+    needs_scene = False
+    machine_bound = True
+
+    def run(self, jobs: list[Job], notify: Callable[[str], None]) -> list[Outcome]:
+        """See :class:`Measure`; ``job.method`` is not fitted yet."""
+        return [self._one(job) for job in jobs]
+
+    def _one(self, job: Job) -> Outcome:
+        method, material, device = job.method, job.material, job.budget.device
+        supported, reason = method.supports(material)
+        if not supported:
+            raise Unsupported(reason or f"{method.name} does not support {material.name}")
+        start = _now(device)
+        report = method.fit(material, job.budget, job.generator)
+        fit_seconds = _now(device) - start
+        if not isinstance(report, FitReport):
+            kind = type(report).__name__
+            raise BadAdapter(f"{method.name}: fit returned a {kind}, expected a FitReport")
+        state = {key: value.detach() for key, value in state_of(method).items()}
+        start = _now(device)
+        loaded = restore(job.make(), material, state)
+        condition = material.conditions(1, job.generator, device)
+        with torch.inference_mode():
+            loaded.sample(condition, torch.rand(1, 3, generator=job.generator).to(device))
+        load_seconds = _now(device) - start
+        guard(loaded, material, job.generator, device)
+        records = [
+            Record("fit-seconds", fit_seconds, unit="s"),
+            Record("data-seconds", report.data_seconds, unit="s"),
+            Record("optimise-seconds", report.optimise_seconds, unit="s"),
+            Record("load-seconds", load_seconds, unit="s"),
+            Record("parameters", report.parameters, unit="1"),
+            Record("size-bytes", method.size_bytes(), unit="B"),
+        ]
+        if report.loss:
+            records.append(Record("final-loss", report.loss[-1], unit="1"))
+        arrays = {"loss": torch.tensor(report.loss).numpy()} if report.loss else {}
+        return Outcome(records=records, arrays=arrays, tensors=state)
+
+
+def restore(method: Method, material: Material, state: dict[str, torch.Tensor]) -> Method:
+    """``method``, newly made, bound to ``material`` and with ``state`` loaded."""
+    method.bind(material)
+    method.load_state_dict(state)
+    return method
+
+
+def _now(device: str) -> float:
+    if device != "cpu":
+        torch.cuda.synchronize(device)
+    return time.perf_counter()

@@ -1,0 +1,1 @@
+"""Carries out a plan: what is missing is fitted and measured, and stored as it finishes."""

@@ -1,0 +1,131 @@
+"""Shows what is going on: a live line on a terminal, a line per trial anywhere else."""
+
+from __future__ import annotations
+
+import time
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, SpinnerColumn, TextColumn
+from rich.progress import Progress as Bar
+from rich.text import Text
+
+from harness.measures.base import FAILED, Outcome
+from harness.store import Stored
+from harness.suite.trials import FIT, Trial
+
+QUIET_SECONDS = 15.0
+"""Without a terminal, notes from inside a trial appear at most this often."""
+
+
+class Pace:
+    """Time left, from what trials of the same measure took, in this run or an earlier one."""
+
+    def __init__(self, todo: list[Trial], stored: dict[str, Stored]):
+        self.left: dict[str, int] = {}
+        self.spent: dict[str, list[float]] = {}
+        for trial in todo:
+            self.left[trial.measure] = self.left.get(trial.measure, 0) + 1
+        for found in stored.values():
+            if found.status == "ok":
+                self.spent.setdefault(found.labels["measure"], []).append(found.seconds)
+
+    def finish(self, trial: Trial, seconds: float) -> None:
+        """One trial less."""
+        # The baseline may run along without being counted.
+        self.left[trial.measure] = max(0, self.left.get(trial.measure, 0) - 1)
+        if seconds:
+            self.spent.setdefault(trial.measure, []).append(seconds)
+
+    def __str__(self) -> str:
+        known = {m: sum(s) / len(s) for m, s in self.spent.items()}
+        if not known or not any(self.left.values()):
+            return ""
+        # A measure that was not seen yet counts as much as the average of the others.
+        usual = sum(known.values()) / len(known)
+        seconds = sum(n * known.get(m, usual) for m, n in self.left.items())
+        return f"about {duration(seconds)} left"
+
+
+class Progress:
+    """Progress of a run on ``console``; use it as a context manager."""
+
+    def __init__(self, console: Console, todo: list[Trial], stored: dict[str, Stored]):
+        self.console, self.total, self.done = console, len(todo), 0
+        self.pace = Pace(todo, stored)
+        self.quiet_since = time.monotonic()
+        self.text = ""
+        self.bar: Bar | None = None
+        if console.is_terminal:
+            columns = (
+                SpinnerColumn(),
+                BarColumn(bar_width=24),
+                MofNCompleteColumn(),
+                TextColumn("{task.fields[left]}", style="cyan"),
+                TextColumn("{task.description}", markup=False),
+            )
+            self.bar = Bar(*columns, console=console, transient=True)
+            self.task = self.bar.add_task("", total=self.total, left=str(self.pace))
+
+    def __enter__(self) -> Progress:
+        if self.bar:
+            self.bar.start()
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        if self.bar:
+            self.bar.stop()
+
+    def begin(self, trials: list[Trial]) -> None:
+        """These are being carried out now."""
+        what = "fitting" if trials[0].measure == FIT else trials[0].measure
+        who = trials[0].method if len(trials) == 1 else f"{len(trials)} methods"
+        self.text = " · ".join(filter(None, [what, who, trials[0].material, trials[0].scene]))
+        self.quiet_since = time.monotonic()
+        self._show(self.text)
+
+    def note(self, text: str) -> None:
+        """Something to say from inside a trial."""
+        if self.bar:
+            self._show(f"{self.text} · {text}")
+        elif time.monotonic() - self.quiet_since > QUIET_SECONDS:
+            self.quiet_since = time.monotonic()
+            self._line(f"          {self.text} · {text}")
+
+    def finish(self, trial: Trial, outcome: Outcome, seconds: float) -> None:
+        """One trial is stored."""
+        self.done = min(self.total, self.done + 1)
+        self.pace.finish(trial, seconds)
+        failed = outcome.status in FAILED
+        if self.bar:
+            self.bar.update(self.task, completed=self.done, left=str(self.pace))
+            if failed:
+                self._line(f"{outcome.status}: {trial}: {outcome.reason}", "red")
+            return
+        width = len(str(self.total))
+        parts = [str(trial), outcome.status, f"{seconds:.1f} s", str(self.pace)]
+        if outcome.status != "ok":
+            parts[1] += f": {outcome.reason}"
+        self._line(f"[{self.done:{width}}/{self.total}] " + " · ".join(filter(None, parts)))
+
+    def _show(self, text: str) -> None:
+        if self.bar:
+            self.bar.update(self.task, description=text)
+
+    def _line(self, text: str, style: str = "") -> None:
+        self.console.print(Text(text, style=style), soft_wrap=True)
+        self.console.file.flush()
+
+
+def duration(seconds: float) -> str:
+    """``40 s``, ``12 min``, ``3 h 20 min``."""
+    if seconds < 90:
+        return f"{whole(seconds)} s"
+    minutes = whole(seconds / 60)
+    if minutes < 90:
+        return f"{minutes} min"
+    return f"{minutes // 60} h {minutes % 60} min"
+
+
+def whole(value: float) -> int:
+    """Upwards, and at least one: nothing that is left takes no time."""
+    return max(1, int(-(-value // 1)))

@@ -1,0 +1,143 @@
+"""A run: plan, compare with what is stored, carry out the rest, sum up."""
+
+from __future__ import annotations
+
+import shlex
+from collections import Counter
+from dataclasses import dataclass
+from pathlib import Path
+
+from rich.console import Console
+from rich.text import Text
+
+from harness import store
+from harness.measures.base import FAILED
+from harness.runner import executor as executors
+from harness.runner import only as only_option
+from harness.runner import preflight
+from harness.runner.progress import Pace, Progress
+from harness.runner.todo import Todo, make_todo
+from harness.runner.worker import Worker
+from harness.suite.plan import Plan
+from harness.suite.trials import FIT, Trial
+
+INTERRUPTED = 130
+"""Exit status after Ctrl-C, as shells have it."""
+
+
+@dataclass(frozen=True)
+class Options:
+    """What the command line adds to the plan."""
+
+    only: str | None = None
+    executor: str = "local"
+    retry_failed: bool = False
+    dry_run: bool = False
+
+
+def run(plan: Plan, results: Path, options: Options, console: Console) -> int:
+    """Carry out what is missing; returns the exit status. Reports nothing but itself."""
+    execute = executors.make(options.executor)
+    only = only_option.parse(options.only, plan)
+    preflight.check_report(plan)
+    if options.dry_run:
+        _list(plan, make_todo(plan, results, only, options.retry_failed), console)
+        return 0
+    preflight.check_output(results)
+    with store.locked(results):
+        store.clean(results)
+        todo = make_todo(plan, results, only, options.retry_failed)
+        preflight.check_trials(plan, todo.trials)
+        _write_plan(plan, results)
+        _say(console, f"{results}: {_counted(todo)}")
+        interrupted = False
+        with Progress(console, todo.trials, todo.stored) as progress:
+            worker = Worker(plan, results, todo.stored, progress)
+            try:
+                execute.run(todo.units, worker.unit)
+            except KeyboardInterrupt:
+                interrupted = True
+            finally:
+                # What an interrupted trial has written so far is of no use.
+                store.clean(results)
+        if interrupted:
+            _say(
+                console,
+                f"interrupted after {progress.done} of {progress.total} trials; they are stored, "
+                "and the same command goes on from there",
+                "yellow",
+            )
+            return INTERRUPTED
+    return _sum_up(todo, console)
+
+
+def _write_plan(plan: Plan, results: Path) -> None:
+    """The suite as run, and the trials it stands for."""
+    command = ["--profile", plan.profile] if plan.profile else []
+    command += ["--device", plan.device]
+    text = f"# As run, with {shlex.join(command)}\n{plan.text}"
+    (results / "suite.yaml").write_text(text, encoding="utf-8")
+    head = {
+        "suite": plan.suite,
+        "title": plan.title,
+        "profile": plan.profile,
+        "device": plan.device,
+        "baseline": plan.baseline,
+        "report": plan.report,
+        **{f"{key}s": plan.labels(key) for key in ("material", "method", "scene", "measure")},
+    }
+    rows = [
+        {"trial": t.hash, **t.labels, "fit": t.fit, "identity": t.identity} for t in plan.trials
+    ]
+    store.write_plan(results, head, rows)
+
+
+def _counted(todo: Todo) -> str:
+    """``264 trials, 200 stored, 64 to do (11 fits)``."""
+    trials = todo.trials
+    fits = sum(trial.measure == FIT for trial in trials)
+    text = f"{_trials(len(todo.selected))}, "
+    if not trials:
+        return text + "all stored"
+    return text + f"{len(trials)} to do ({fits} of them fits)"
+
+
+def _list(plan: Plan, todo: Todo, console: Console) -> None:
+    for trial in todo.trials:
+        _say(console, f"{trial.hash}  {trial}")
+    left = str(Pace(todo.trials, todo.stored))
+    _say(console, f"{plan.suite}: {_counted(todo)}{', ' + left if left else ''}; nothing was run")
+
+
+def _sum_up(todo: Todo, console: Console) -> int:
+    """Print how the selected trials ended, and why some failed; the exit status."""
+    concerned = {t.hash: t for t in [*todo.selected, *todo.trials]}
+    found = [(trial, todo.stored[h]) for h, trial in concerned.items() if h in todo.stored]
+    counts = Counter(stored.status for _, stored in found)
+    shown = ", ".join(f"{n} {status}" for status, n in counts.most_common())
+    failed = any(counts[status] for status in FAILED)
+    _say(console, f"{_trials(len(found))}: {shown}", "red" if failed else "green")
+    reasons: dict[tuple[str, str], list[Trial]] = {}
+    for trial, stored in found:
+        if stored.status != "ok":
+            reasons.setdefault((stored.status, stored.reason), []).append(trial)
+    for (status, reason), trials in reasons.items():
+        more = f" (and {len(trials) - 1} more)" if len(trials) > 1 else ""
+        style = "red" if status in FAILED else "yellow"
+        _say(console, f"  {status}: {trials[0]}{more}: {reason}", style)
+    if failed:
+        _say(
+            console,
+            "The traceback of a failed trial is in its trial.json; "
+            "--retry failed runs the failed ones again.",
+        )
+    return 1 if failed else 0
+
+
+def _trials(count: int) -> str:
+    return f"{count} trial{'' if count == 1 else 's'}"
+
+
+def _say(console: Console, text: str, style: str = "") -> None:
+    console.print(Text(text, style=style), soft_wrap=True)
+    console.file.flush()

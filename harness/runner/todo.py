@@ -1,0 +1,135 @@
+"""What is left to do: the plan, less what is stored."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from harness import store
+from harness.measures.base import FAILED
+from harness.runner.only import Only
+from harness.store import Stored
+from harness.suite.plan import Plan
+from harness.suite.trials import FIT, Trial
+
+FINAL = ("ok", "unsupported")
+
+
+@dataclass
+class Group:
+    """Trials that one call of a measure carries out.
+
+    ``extra`` is the baseline where it has to run along but is not itself to be done.
+    """
+
+    trials: list[Trial]
+    extra: Trial | None = None
+
+
+@dataclass
+class Unit:
+    """All that is to be done for one material: fits first, then groups of measures."""
+
+    material: str
+    fits: list[Trial] = field(default_factory=list)
+    groups: list[Group] = field(default_factory=list)
+
+    @property
+    def trials(self) -> list[Trial]:
+        """Every trial of the unit that is to be stored."""
+        return self.fits + [trial for group in self.groups for trial in group.trials]
+
+
+@dataclass
+class Todo:
+    """``units`` to carry out; ``selected`` trials the run is about, done or not."""
+
+    units: list[Unit]
+    selected: list[Trial]
+    stored: dict[str, Stored]
+
+    @property
+    def trials(self) -> list[Trial]:
+        """All trials to be carried out, in order."""
+        return [trial for unit in self.units for trial in unit.trials]
+
+
+def make_todo(plan: Plan, results: Path, only: Only, retry_failed: bool = False) -> Todo:
+    """Compare ``plan`` with what ``results`` holds.
+
+    A trial is done if it is stored as ok or unsupported, or as failed unless those are to
+    be tried again. One that was skipped is done as soon as it can be.
+    """
+    present = {h: store.load_trial(results, h) for h in _planned_and_stored(plan, results)}
+    by_hash = {trial.hash: trial for trial in plan.trials}
+    selected = [trial for trial in plan.trials if trial in only]
+    open_: dict[str, Trial] = {}
+    for trial in selected:
+        found = present.get(trial.hash)
+        if _done(found, retry_failed):
+            continue
+        needs = [present.get(fit) for fit in needed_fits(plan, trial)]
+        hopeless = any(n is not None and n.status != "ok" and _done(n, retry_failed) for n in needs)
+        if found is None or not hopeless:
+            open_[trial.hash] = trial
+    groups = _groups(plan, [t for t in open_.values() if t.measure != FIT])
+    # What is to be measured has to be fitted, also if --only did not name the fit.
+    for group in groups:
+        for trial in [*group.trials, *([group.extra] if group.extra else [])]:
+            fit = present.get(trial.fit)
+            usable = fit is not None and (fit.status != "ok" or fit.has_state)
+            if not (usable and _done(fit, retry_failed)):
+                open_[trial.fit] = by_hash[trial.fit]
+    fits = [t for t in _unique(plan.trials) if t.measure == FIT and t.hash in open_]
+    units: dict[str, Unit] = {}
+    for material in plan.labels("material"):
+        unit = Unit(material)
+        unit.fits = [t for t in fits if t.material == material]
+        unit.groups = [g for g in groups if g.trials[0].material == material]
+        if unit.fits or unit.groups:
+            units[material] = unit
+    return Todo(list(units.values()), selected, present)
+
+
+def needed_fits(plan: Plan, trial: Trial) -> list[str]:
+    """Hashes of the fits that ``trial`` cannot do without: its own, and the baseline's."""
+    if trial.measure == FIT:
+        return []
+    return [trial.fit, plan.baseline_of(trial).fit] if trial.timed else [trial.fit]
+
+
+def _planned_and_stored(plan: Plan, results: Path) -> list[str]:
+    there = set(store.stored(results))
+    return [trial.hash for trial in _unique(plan.trials) if trial.hash in there]
+
+
+def _done(stored: Stored | None, retry_failed: bool) -> bool:
+    if stored is None or stored.status == "skipped":
+        return False
+    return stored.status in FINAL or not (retry_failed and stored.status in FAILED)
+
+
+def _groups(plan: Plan, pending: list[Trial]) -> list[Group]:
+    """Untimed trials one by one, ordered so that what they share is made once; then timed."""
+    scenes = ["", *plan.labels("scene")]
+    measures = plan.labels("measure")
+
+    def shared(trial: Trial) -> tuple[int, ...]:
+        return (trial.seed, scenes.index(trial.scene), measures.index(trial.measure))
+
+    groups = [Group([t]) for t in sorted((t for t in pending if not t.timed), key=shared)]
+    timed: dict[tuple, list[Trial]] = {}
+    for trial in pending:
+        if trial.timed:
+            timed.setdefault((trial.material, *shared(trial)), []).append(trial)
+    for trials in timed.values():
+        first = trials[0]
+        base = plan.baseline_of(first)
+        inside = any(trial.hash == base.hash for trial in trials)
+        groups.append(Group(trials, None if inside else base))
+    return groups
+
+
+def _unique(trials: list[Trial]) -> list[Trial]:
+    """Two labels for one and the same method share their trials."""
+    return list({trial.hash: trial for trial in reversed(trials)}.values())[::-1]

@@ -1,0 +1,262 @@
+"""Carries out units of work. A trial that fails is stored with its reason; the rest goes on."""
+
+from __future__ import annotations
+
+import fcntl
+import gc
+import math
+import os
+import tempfile
+import time
+import traceback
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from harness import machine, registry, store
+from harness.measures import registry as measures
+from harness.measures.base import Job, Outcome
+from harness.measures.fit import restore
+from harness.measures.guard import BadAdapter
+from harness.protocol import BudgetExceeded, InputError, Material, Method, Unsupported
+from harness.runner.progress import Progress
+from harness.runner.todo import FINAL, Group, Unit
+from harness.store import Stored
+from harness.suite.plan import Plan
+from harness.suite.trials import FIT, Trial, stream_seed
+
+
+class Worker:
+    """Does the work of one run. Materials, scenes and fitted methods are made once."""
+
+    def __init__(self, plan: Plan, results: Path, stored: dict[str, Stored], progress: Progress):
+        self.plan, self.results, self.stored, self.progress = plan, results, stored, progress
+        # Kept for the whole run: measures may remember something by the object.
+        self.materials: dict[str, Material] = {}
+        self.scenes: dict[str, Any] = {}
+        self.fitted: dict[str, Method] = {}
+
+    def unit(self, unit: Unit) -> None:
+        """Fit all methods to one material, then measure them."""
+        for trial in unit.fits:
+            self._group(Group([trial]))
+        for group in unit.groups:
+            self._group(group)
+        self.fitted.clear()
+        gc.collect()
+
+    # --- one call of a measure -----------------------------------------------------------------
+
+    def _group(self, group: Group) -> None:
+        ready = []
+        for trial in group.trials:
+            outcome = self._blocked(trial)
+            if outcome is None:
+                ready.append(trial)
+            else:
+                self._save(trial, outcome, _utc(), 0.0)
+        if not ready:
+            return
+        if not ready[0].timed:
+            self._measure(ready, None)
+            return
+        with timing_lock(self.progress.note):
+            self._measure(ready, group.extra)
+
+    def _blocked(self, trial: Trial) -> Outcome | None:
+        """Why a trial cannot be carried out at all, if so."""
+        if trial.measure == FIT:
+            return None
+        needed = {f"the fit of {trial.method}": trial.fit}
+        if trial.timed and trial.method != self.plan.baseline:
+            base = self.plan.baseline_of(trial)
+            needed[f"the fit of the baseline {base.method}"] = base.fit
+        for what, fit in needed.items():
+            found = self.stored[fit]
+            if found.status == "unsupported" and fit == trial.fit:
+                return Outcome("unsupported", found.reason)
+            if found.status != "ok":
+                return Outcome("skipped", f"{what} ended as {found.status}: {found.reason}")
+        return None
+
+    def _measure(self, trials: list[Trial], extra: Trial | None) -> None:
+        """Run the measure of ``trials`` on them together, and store what comes back."""
+        everybody = [*([extra] if extra else []), *trials]
+        self.progress.begin(trials)
+        started, clock = _utc(), time.perf_counter()
+        outcomes = self._outcomes(everybody)
+        share = (time.perf_counter() - clock) / len(everybody)
+        for trial, outcome in zip(everybody, outcomes, strict=True):
+            if trial is extra:
+                known = self.stored.get(trial.hash)
+                if known is not None and known.status in FINAL:
+                    # It ran along to be compared with; what is stored stays.
+                    store.discard(self.results, trial.hash)
+                    continue
+            self._save(trial, outcome, started, share)
+
+    def _outcomes(self, trials: list[Trial]) -> list[Outcome]:
+        jobs: list[Job | Outcome] = [_caught(lambda t=t: self._job(t)) for t in trials]
+        for trial, job in zip(trials, jobs, strict=True):
+            if trial.timed and trial.method == self.plan.baseline and isinstance(job, Outcome):
+                reason = f"the baseline {trial.method} failed: {job.reason}"
+                jobs = [x if isinstance(x, Outcome) else Outcome("error", reason) for x in jobs]
+                break
+        good = [job for job in jobs if isinstance(job, Job)]
+        measure = measures.make(trials[0].measure)
+        found = _caught(lambda: self._checked_run(measure, good)) if good else []
+        if isinstance(found, Outcome):
+            found = self._separately(measure, good, found)
+        results = iter(found)
+        return [finished(job) if isinstance(job, Outcome) else next(results) for job in jobs]
+
+    def _checked_run(self, measure: Any, jobs: list[Job]) -> list[Outcome]:
+        first = jobs[0].trial
+        torch.manual_seed(stream_seed(first.measure, first.seed))
+        outcomes = measure.run(jobs, self.progress.note)
+        if len(outcomes) != len(jobs):
+            raise RuntimeError(f"{measure.name}: {len(outcomes)} outcomes for {len(jobs)} jobs")
+        return [finished(outcome) for outcome in outcomes]
+
+    def _separately(self, measure: Any, jobs: list[Job], failed: Outcome) -> list[Outcome]:
+        """After one of several has failed: each alone with the baseline, to find out which."""
+        base = next((job for job in jobs if job.baseline), None)
+        if len(jobs) == 1:
+            return [failed]
+        found = []
+        for job in jobs:
+            pair = [job] if base is None or job is base else [base, job]
+            for each in pair:
+                each.generator.manual_seed(stream_seed(each.trial.measure, each.seed))
+            outcome = _caught(lambda pair=pair: self._checked_run(measure, pair))
+            found.append(outcome if isinstance(outcome, Outcome) else outcome[-1])
+        return found
+
+    # --- what a job is made of -----------------------------------------------------------------
+
+    def _job(self, trial: Trial) -> Job:
+        def make() -> Method:
+            return registry.make(trial.method_name, **trial.params)
+
+        fresh = trial.measure == FIT
+        return Job(
+            trial=trial,
+            material=self._material(trial),
+            method=make() if fresh else self._fitted(trial, make),
+            scene=self._scene(trial),
+            seed=trial.seed,
+            generator=torch.Generator().manual_seed(stream_seed(trial.measure, trial.seed)),
+            settings=dict(trial.settings),
+            budget=trial.budget,
+            out_dir=store.scratch(self.results, trial.hash),
+            make=make,
+            baseline=trial.method == self.plan.baseline,
+        )
+
+    def _material(self, trial: Trial) -> Material:
+        if trial.material not in self.materials:
+            from harness.materials import registry as materials
+
+            self.materials[trial.material] = materials.make(trial.material_spec)
+        return self.materials[trial.material]
+
+    def _scene(self, trial: Trial) -> Any | None:
+        if not trial.scene:
+            return None
+        if trial.scene not in self.scenes:
+            from harness.scenes import registry as scenes
+
+            self.scenes[trial.scene] = scenes.make(trial.scene_spec)
+        return self.scenes[trial.scene]
+
+    def _fitted(self, trial: Trial, make: Callable[[], Method]) -> Method:
+        if trial.fit not in self.fitted:
+            state = self.stored[trial.fit].tensors(trial.budget.device)
+            self.fitted[trial.fit] = restore(make(), self._material(trial), state)
+        return self.fitted[trial.fit]
+
+    # --- storing -------------------------------------------------------------------------------
+
+    def _save(self, trial: Trial, outcome: Outcome, started: str, seconds: float) -> None:
+        described = {
+            "trial": trial.hash,
+            "labels": trial.labels,
+            "identity": trial.identity,
+            "environment": machine.describe(trial.budget.device),
+            "started": started,
+            "seconds": round(seconds, 3),
+        }
+        if trial.fit:
+            described["fit"] = trial.fit
+        try:
+            try:
+                store.save_trial(self.results, described, outcome)
+            except (TypeError, ValueError, RuntimeError) as error:
+                outcome = Outcome(
+                    "error",
+                    f"the outcome cannot be stored: {registry.oneline(error)}",
+                    traceback=traceback.format_exc(),
+                )
+                store.scratch(self.results, trial.hash)
+                store.save_trial(self.results, described, outcome)
+        except OSError as error:
+            raise InputError(f"{self.results}: cannot be written: {error.strerror}") from error
+        self.stored[trial.hash] = store.load_trial(self.results, trial.hash)
+        self.progress.finish(trial, outcome, seconds)
+
+
+def finished(outcome: Outcome) -> Outcome:
+    """``outcome``, as nonfinite if it is a success that holds a number which is none."""
+    if outcome.status != "ok":
+        return outcome
+    bad = [f"{r.metric} is {r.value}" for r in outcome.records if not math.isfinite(r.value)]
+    for name, image in outcome.images.items():
+        count = int((~np.isfinite(image)).sum())
+        if count:
+            bad.append(f"image {name}: {count} of {image.size} values are not finite")
+    if bad:
+        outcome.status, outcome.reason = "nonfinite", ", ".join(bad)
+    return outcome
+
+
+def _caught(work: Callable[[], Any]) -> Any:
+    """The result of ``work``, or the outcome that stands for its failure."""
+    try:
+        return work()
+    except Unsupported as error:
+        return Outcome("unsupported", _reason(error))
+    except BudgetExceeded as error:
+        return Outcome("timeout", _reason(error), traceback=traceback.format_exc())
+    except FloatingPointError as error:
+        return Outcome("nonfinite", _reason(error), traceback=traceback.format_exc())
+    except (BadAdapter, InputError) as error:
+        return Outcome("error", _reason(error), traceback=traceback.format_exc())
+    except (Exception, SystemExit) as error:
+        return Outcome("error", registry.oneline(error), traceback=traceback.format_exc())
+
+
+def _reason(error: BaseException) -> str:
+    """First line of the message."""
+    return str(error).strip().partition("\n")[0] or type(error).__name__
+
+
+def _utc() -> str:
+    return datetime.now(UTC).isoformat(timespec="seconds")
+
+
+@contextmanager
+def timing_lock(note: Callable[[str], None]) -> Iterator[None]:
+    """One timing at a time per machine and user, whatever the results folder."""
+    path = Path(tempfile.gettempdir()) / f"harness-timing-{os.getuid()}.lock"
+    with path.open("w") as file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            note("waiting: another timing runs on this machine")
+            fcntl.flock(file, fcntl.LOCK_EX)
+        yield

@@ -1,0 +1,1 @@
+"""Suites: what a YAML file may say, and the trials that it stands for."""

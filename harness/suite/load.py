@@ -1,0 +1,201 @@
+"""Reads a suite from YAML and refuses, in one line, what it cannot mean."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import yaml
+from pydantic import ValidationError
+
+from harness.protocol import InputError, nearest
+from harness.source import ROOT
+from harness.suite.refusal import refusal
+from harness.suite.schema import MethodSpec, NamedSpec, Suite
+
+SUITES = ROOT / "suites"
+LISTS = ("materials", "methods", "scenes", "measures")
+# Entries that name a file: our own 'file' and Mitsuba's 'filename'.
+FILE_KEYS = ("file", "filename")
+
+
+@dataclass(frozen=True)
+class Loaded:
+    """A valid suite, where it came from and its text."""
+
+    suite: Suite
+    path: Path
+    text: str
+
+
+def names() -> list[str]:
+    """Names of the suites that come with the harness."""
+    return sorted(path.stem for path in SUITES.glob("*.yaml"))
+
+
+def describe(name: str) -> str:
+    """Title of a suite that comes with the harness."""
+    data = yaml.load((SUITES / f"{name}.yaml").read_text(encoding="utf-8"), Loader=_Loader)
+    return str(data.get("title", ""))
+
+
+def find(name: str | Path) -> Path:
+    """The file of a suite given by path or by its bare name."""
+    path = Path(name)
+    if path.is_file():
+        return path
+    if path.is_dir():
+        raise InputError(f"{name}: is a directory; expected a suite, a .yaml file")
+    bare = SUITES / f"{name}.yaml"
+    if path.name == str(name) and bare.is_file():
+        return bare
+    beside = [item.name for item in path.parent.glob("*.yaml")] if path.suffix else []
+    known = beside if path.suffix else names()
+    raise InputError(f"no such suite: {name}{nearest(path.name, known)}")
+
+
+def load(name: str | Path) -> Loaded:
+    """Read and check a suite. References to registries are resolved later, all at once."""
+    path = find(name)
+    try:
+        text = path.read_text(encoding="utf-8")
+        data = yaml.load(text, Loader=_Loader)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror}") from None
+    except UnicodeDecodeError:
+        raise InputError(f"{path}: not a text file; expected a suite in YAML") from None
+    except yaml.YAMLError as error:
+        raise InputError(f"{path}{_position(error)}: not valid YAML: {_problem(error)}") from None
+    if not isinstance(data, dict):
+        raise InputError(f"{path}: expected a mapping with the keys name, materials, methods, ...")
+    for key in LISTS:
+        if isinstance(data.get(key), list):
+            data[key] = [{"name": x} if isinstance(x, str) else x for x in data[key]]
+    for profile in (data.get("profiles") or {}).values() if _is_map(data.get("profiles")) else ():
+        if _is_map(profile) and _is_map(profile.get("measures")):
+            # `equal-spp:` with nothing after it is a measure with its own settings.
+            profile["measures"] = {
+                k: {} if v is None else v for k, v in profile["measures"].items()
+            }
+    try:
+        suite = Suite.model_validate(data)
+    except ValidationError as error:
+        raise InputError(f"{path}: {refusal(Suite, error)}") from None
+    try:
+        _label(suite.methods, path.parent)
+        _locate_files([*suite.materials, *suite.scenes], path.parent)
+        _check_references(suite)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
+    return Loaded(suite, path, text)
+
+
+def _label(methods: list[MethodSpec], folder: Path) -> None:
+    """Make paths of adapters absolute and give every method its label."""
+    from harness import registry
+
+    for index, spec in enumerate(methods):
+        file, colon, cls = spec.name.rpartition(":")
+        if file.endswith(".py"):
+            spec.name = f"{_absolute(file, folder)}{colon}{cls}"
+        try:
+            name = registry.find(spec.name).name
+        except InputError as error:
+            raise InputError(f"methods[{index}]: {error}") from None
+        if not spec.label:
+            shown = " ".join(f"{key}={value}" for key, value in sorted(spec.params.items()))
+            spec.label = f"{name} ({shown})" if shown else name
+
+
+def _locate_files(specs: list[NamedSpec], folder: Path) -> None:
+    """Make the files that materials and scenes name absolute; they must be there."""
+    for spec in specs:
+        for key, value in spec.rest().items():
+            setattr(spec, key, _with_files(value, key, folder, spec.name))
+
+
+def _with_files(value: Any, key: str, folder: Path, owner: str) -> Any:
+    if isinstance(value, dict):
+        return {k: _with_files(v, k, folder, owner) for k, v in value.items()}
+    if isinstance(value, list):
+        return [_with_files(v, key, folder, owner) for v in value]
+    if key not in FILE_KEYS or not isinstance(value, str):
+        return value
+    path = Path(_absolute(value, folder))
+    if not path.is_file():
+        beside = [item.name for item in path.parent.glob(f"*{path.suffix}")]
+        hint = nearest(path.name, beside) if beside else ""
+        raise InputError(f"'{owner}': {key}: no such file: {value}{hint}")
+    try:
+        path.open("rb").close()
+    except OSError as error:
+        raise InputError(f"'{owner}': {key}: {value} cannot be read: {error.strerror}") from None
+    return str(path)
+
+
+def _absolute(file: str, folder: Path) -> str:
+    """Relative to the suite's folder if it is there, else to the current one."""
+    path = Path(file).expanduser()
+    beside = folder / path
+    return str((beside if beside.is_file() else path).resolve())
+
+
+def _check_references(suite: Suite) -> None:
+    """Labels are unique, and what the suite says of its own entries exists."""
+    labels = {
+        "materials": [item.name for item in suite.materials],
+        "methods": [item.label for item in suite.methods],
+        "scenes": [item.name for item in suite.scenes],
+        "measures": [item.name for item in suite.measures],
+        "seeds": suite.seeds,
+    }
+    for key, values in labels.items():
+        for index, value in enumerate(values):
+            if value in values[:index]:
+                more = "; give one of them another label" if key == "methods" else ""
+                raise InputError(f"{key}[{index}]: '{value}' is listed twice{more}")
+    if suite.baseline is not None:
+        _known("baseline", [suite.baseline], labels["methods"], "method of this suite")
+    for name, profile in suite.profiles.items():
+        for key in ("materials", "methods", "scenes"):
+            chosen = getattr(profile, key)
+            if chosen is not None:
+                _known(f"profiles.{name}.{key}", chosen, labels[key], f"{key[:-1]} of this suite")
+        for key, what in (("measures", "measure"), ("override", "method")):
+            known = labels[f"{what}s"]
+            _known(f"profiles.{name}.{key}", getattr(profile, key), known, f"{what} of this suite")
+
+
+def _known(where: str, values: Iterable[str], known: list[str], what: str) -> None:
+    for value in values:
+        if value not in known:
+            raise InputError(f"{where}: '{value}' is no {what}{nearest(value, known)}")
+
+
+def _is_map(value: Any) -> bool:
+    return isinstance(value, dict)
+
+
+class _Loader(yaml.SafeLoader):
+    """YAML in which a key may be given once."""
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict:
+        seen = set()
+        for key_node, _ in node.value:
+            if isinstance(key_node, yaml.ScalarNode):
+                if key_node.value in seen and key_node.value != "<<":
+                    what = f"the key '{key_node.value}' is given twice"
+                    raise yaml.constructor.ConstructorError(None, None, what, key_node.start_mark)
+                seen.add(key_node.value)
+        return super().construct_mapping(node, deep)
+
+
+def _position(error: yaml.YAMLError) -> str:
+    mark = getattr(error, "problem_mark", None)
+    return f", line {mark.line + 1}" if mark else ""
+
+
+def _problem(error: yaml.YAMLError) -> str:
+    return (getattr(error, "problem", None) or str(error)).partition("\n")[0]

@@ -1,0 +1,255 @@
+"""Expands a suite into its trials. All names are resolved here, before anything runs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, TypeVar
+
+from harness import machine, registry
+from harness.measures import registry as measures
+from harness.protocol import Budget, InputError, nearest
+from harness.source import digest
+from harness.suite.load import Loaded
+from harness.suite.schema import MethodSpec, NamedSpec, Profile, Suite
+from harness.suite.trials import FIT, Trial, counted_budget, hash_of
+
+Item = TypeVar("Item", NamedSpec, MethodSpec)
+
+DEFAULT_PROFILE = "quick"
+DEFAULT_BASELINE = "improved-baseline"
+
+
+@dataclass(frozen=True)
+class Plan:
+    """All trials of a suite in one profile, in the order in which they run and are shown."""
+
+    suite: str
+    title: str
+    profile: str
+    device: str
+    baseline: str
+    report: dict[str, Any]
+    trials: list[Trial]
+    text: str
+    where: str
+    """The suite as the user named it."""
+
+    def baseline_of(self, trial: Trial) -> Trial:
+        """The trial of the baseline that a timed trial is compared with."""
+        return self._baselines[_place(trial)]
+
+    @cached_property
+    def _baselines(self) -> dict[tuple, Trial]:
+        return {_place(t): t for t in self.trials if t.method == self.baseline}
+
+    def labels(self, key: str) -> list[str]:
+        """Labels of all ``material``, ``method``, ``scene`` or ``measure``, in order."""
+        return list(dict.fromkeys(x for t in self.trials if (x := getattr(t, key)) != ""))
+
+
+def make_plan(loaded: Loaded, profile: str | None = None, device: str = "cpu") -> Plan:
+    """The plan of ``loaded`` in ``profile`` (by default ``quick``, if the suite has it)."""
+    suite = loaded.suite
+    try:
+        name, chosen = _profile(suite, profile)
+        baseline = _baseline(suite, chosen)
+        return Plan(
+            suite=suite.name,
+            title=suite.title or suite.name,
+            profile=name,
+            device=device,
+            baseline=baseline,
+            report=suite.report.model_dump(),
+            trials=_Expansion(suite, name, chosen, device, baseline).trials(),
+            text=loaded.text,
+            where=str(loaded.path),
+        )
+    except InputError as error:
+        raise InputError(f"{loaded.path}: {error}") from None
+
+
+def _place(trial: Trial) -> tuple:
+    return trial.measure, trial.material, trial.scene, trial.seed
+
+
+def _profile(suite: Suite, name: str | None) -> tuple[str, Profile]:
+    if name is None:
+        name = DEFAULT_PROFILE if DEFAULT_PROFILE in suite.profiles else ""
+        return name, suite.profiles.get(name, Profile())
+    if name not in suite.profiles:
+        hint = nearest(name, suite.profiles) or "; the suite has none"
+        raise InputError(f"profiles: unknown profile '{name}'{hint}")
+    return name, suite.profiles[name]
+
+
+def _baseline(suite: Suite, profile: Profile) -> str:
+    """The method that all others are compared with: as written, or the usual, or the first."""
+    labels = [m.label for m in _chosen(suite.methods, profile.methods)]
+    if suite.baseline is None:
+        return DEFAULT_BASELINE if DEFAULT_BASELINE in labels else labels[0]
+    if suite.baseline not in labels:
+        raise InputError(f"baseline: '{suite.baseline}' is left out by the profile's methods")
+    return suite.baseline
+
+
+class _Expansion:
+    """The product itself. Every entry of the suite is resolved, chosen by the profile or not."""
+
+    def __init__(
+        self, suite: Suite, profile_name: str, profile: Profile, device: str, baseline: str
+    ):
+        from harness.materials import registry as materials
+        from harness.scenes import registry as scenes
+
+        self.suite, self.profile, self.profile_name = suite, profile, profile_name
+        self.device = device
+        self.versions = machine.versions()
+        self.settings = self._settings()
+        self.sources = {name: digest(measures.source(name)) for name in self.settings}
+        adapters = _each("methods", suite.methods, lambda m: digest(registry.source(m.name)))
+        self.materials = _each("materials", suite.materials, lambda m: materials.identity(_spec(m)))
+        self.scenes = _each("scenes", suite.scenes, lambda s: scenes.identity(_spec(s)))
+        self.methods = [self._overridden(m) for m in _chosen(suite.methods, profile.methods)]
+        self.described = {
+            method.label: {
+                "name": registry.find(method.name).name,
+                "params": method.params,
+                "source": adapters[method.label],
+                "budget": counted_budget(self._budget(method)),
+            }
+            for method in self.methods
+        }
+        self.baseline = self.described[baseline]
+
+    def trials(self) -> list[Trial]:
+        """Materials, then seeds, then methods; of each the fit, then its measures."""
+        found = []
+        for material in _chosen(self.suite.materials, self.profile.materials):
+            for seed in self.profile.seeds or self.suite.seeds:
+                for method in self.methods:
+                    found += self._of_method(material, seed, method)
+        return found
+
+    def _of_method(self, material: NamedSpec, seed: int, method: MethodSpec) -> list[Trial]:
+        """The fit of one method to one material, and all that is measured with it."""
+        blank = Trial(
+            hash="",
+            identity={
+                "material": self.materials[material.name],
+                "method": self.described[method.label],
+                "seed": seed,
+                "versions": self.versions,
+            },
+            suite=self.suite.name,
+            material=material.name,
+            method=method.label,
+            scene="",
+            measure="",
+            seed=seed,
+            method_name=method.name,
+            params=method.params,
+            budget=self._budget(method),
+            material_spec=_spec(material),
+        )
+        fit = self._trial(blank, FIT)
+        found = [fit]
+        for name in self.settings:
+            if name == FIT:
+                continue
+            one = replace(blank, fit=fit.hash)
+            if not measures.load(name).needs_scene:
+                found.append(self._trial(one, name))
+                continue
+            for scene in _chosen(self.suite.scenes, self.profile.scenes):
+                here = {**one.identity, "scene": self.scenes[scene.name]}
+                placed = replace(one, scene=scene.name, scene_spec=_spec(scene), identity=here)
+                found.append(self._trial(placed, name))
+        return found
+
+    def _trial(self, blank: Trial, name: str) -> Trial:
+        """``blank`` with the measure ``name`` filled in, and its hash."""
+        measure, settings = measures.load(name), self.settings[name]
+        identity = {
+            **blank.identity,
+            "measure": {"name": name, "settings": settings, "source": self.sources[name]},
+        }
+        if measure.timed:
+            # Numbers in comparison with the baseline change with the baseline.
+            identity["baseline"] = self.baseline
+        if measure.on_machine():
+            identity["machine"] = machine.identity(self.device)
+        return replace(
+            blank,
+            identity=identity,
+            hash=hash_of(identity),
+            measure=name,
+            settings=settings,
+            timed=measure.timed,
+        )
+
+    def _settings(self) -> dict[str, dict[str, Any]]:
+        """Settings of every measure by name, the fit first; all profiles are checked."""
+        for name, profile in self.suite.profiles.items():
+            self._settings_in(name, profile)
+        return self._settings_in(self.profile_name, self.profile)
+
+    def _settings_in(self, profile_name: str, profile: Profile) -> dict[str, dict[str, Any]]:
+        """Defaults < suite's resolution < suite < profile's resolution < profile."""
+        found = {FIT: measures.settings(FIT, {})}
+        for index, item in enumerate(self.suite.measures):
+            where = f"measures[{index}]"
+            try:
+                measure = measures.load(item.name)
+                # The size of a render; a measure without a scene has its own idea of it.
+                sized = measure.needs_scene and "resolution" in measure.Settings.model_fields
+                sizes = [
+                    {"resolution": owner.resolution} if sized and owner.resolution else {}
+                    for owner in (self.suite, profile)
+                ]
+                given = sizes[0] | item.rest() | sizes[1]
+                found[item.name] = measures.settings(item.name, given)
+                if measure.needs_scene and not self.suite.scenes:
+                    raise InputError(f"'{item.name}' needs scenes; there are none")
+                where = f"profiles.{profile_name}.measures.{item.name}"
+                given |= profile.measures.get(item.name, {})
+                found[item.name] = measures.settings(item.name, given)
+            except InputError as error:
+                raise InputError(f"{where}: {error}") from None
+        return found
+
+    def _overridden(self, method: MethodSpec) -> MethodSpec:
+        change = self.profile.override.get(method.label)
+        if change is None:
+            return method
+        return method.model_copy(update={"params": {**method.params, **change.params}})
+
+    def _budget(self, method: MethodSpec) -> Budget:
+        """Defaults < suite < profile < method < the profile's override of the method."""
+        given = self.suite.budget.given() | self.profile.budget.given() | method.budget.given()
+        if method.label in self.profile.override:
+            given |= self.profile.override[method.label].budget.given()
+        return Budget(**given, device=self.device)
+
+
+def _spec(item: NamedSpec) -> Any:
+    """As a registry takes it: the bare name, or the mapping with more than a name."""
+    return {"name": item.name, **item.rest()} if item.rest() else item.name
+
+
+def _chosen(items: list[Item], wanted: list[str] | None) -> list[Item]:
+    if wanted is None:
+        return items
+    return [item for item in items if (getattr(item, "label", "") or item.name) in wanted]
+
+
+def _each(key: str, items: list[Item], resolve: Callable[[Item], Any]) -> dict[str, Any]:
+    """``resolve`` of every item by label; a refusal gets the key path in front."""
+    found = {}
+    for index, item in enumerate(items):
+        try:
+            found[getattr(item, "label", "") or item.name] = resolve(item)
+        except InputError as error:
+            raise InputError(f"{key}[{index}]: {error}") from None
+    return found

@@ -1,0 +1,109 @@
+"""What a suite may say. Unknown keys and wrong types are refused, nothing is converted.
+
+An entry of ``materials``, ``methods``, ``scenes`` and ``measures`` is a name, or a mapping
+with the key ``name``; here it is always a mapping (see :mod:`harness.suite.load`).
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, TypeVar
+
+from pydantic import BaseModel, ConfigDict, Field, StringConstraints, model_validator
+
+Word = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")]
+"""A name that is also the name of a folder."""
+Positive = Annotated[int, Field(gt=0)]
+T = TypeVar("T")
+Some = Annotated[list[T], Field(min_length=1)]
+
+
+class Strict(BaseModel):
+    """No unknown keys, no conversion between types."""
+
+    model_config = ConfigDict(extra="forbid", strict=True)
+
+
+class BudgetSpec(Strict):
+    """Part of a fitting budget; what is left out keeps its default. See harness.Budget."""
+
+    steps: Annotated[int, Field(ge=0)] | None = None
+    conditions: Positive | None = None
+    directions: Positive | None = None
+    resolution: Positive | None = None
+    pool: Positive | None = None
+    max_seconds: Annotated[float, Field(gt=0)] | None = None
+
+    def given(self) -> dict[str, Any]:
+        """The entries that are set."""
+        return self.model_dump(exclude_none=True)
+
+
+class Override(Strict):
+    """What a profile changes about one method."""
+
+    params: dict[str, Any] = {}
+    budget: BudgetSpec = BudgetSpec()
+
+
+class MethodSpec(Override):
+    """A method of the suite; ``label`` is what tables call it and must be unique."""
+
+    name: str
+    label: str = ""
+
+
+class NamedSpec(BaseModel):
+    """A material, scene or measure: a name, and whatever else its own registry checks."""
+
+    model_config = ConfigDict(extra="allow", strict=True)
+
+    name: str
+
+    def rest(self) -> dict[str, Any]:
+        """All entries but the name."""
+        return dict(self.model_extra or {})
+
+
+class ReportSpec(Strict):
+    """Tables and figures wanted; ``None`` means the report's own choice."""
+
+    tables: list[str] | None = None
+    figures: list[str] | None = None
+
+
+class Profile(Strict):
+    """One size of the suite: a subset of it, budgets and settings."""
+
+    materials: Some[str] | None = None
+    methods: Some[str] | None = None
+    scenes: Some[str] | None = None
+    seeds: Some[int] | None = None
+    resolution: Positive | None = None
+    budget: BudgetSpec = BudgetSpec()
+    measures: dict[str, dict[str, Any]] = {}
+    override: dict[str, Override] = {}
+
+
+class Suite(Strict):
+    """A whole suite: materials x methods x scenes x measures, tables and figures."""
+
+    name: Word
+    title: str = ""
+    materials: Some[NamedSpec]
+    methods: Some[MethodSpec]
+    scenes: list[NamedSpec] = []
+    measures: Some[NamedSpec]
+    seeds: Some[int] = [0]
+    baseline: str | None = None
+    resolution: Positive | None = None
+    budget: BudgetSpec = BudgetSpec()
+    report: ReportSpec = ReportSpec()
+    profiles: dict[str, Profile] = {}
+
+    @model_validator(mode="before")
+    @classmethod
+    def _empty_is_absent(cls, data: Any) -> Any:
+        # A key with nothing after it is null in YAML; it means the same as no key.
+        if isinstance(data, dict):
+            return {key: value for key, value in data.items() if value is not None}
+        return data

@@ -1,0 +1,153 @@
+"""Finding methods: by name, by file, by entry point; and what is refused."""
+
+from __future__ import annotations
+
+from importlib.metadata import EntryPoint
+from pathlib import Path
+
+import pytest
+
+from harness import Method, registry
+from harness.protocol import InputError
+from harness.source import covered, essence
+from tests.fakes import ADAPTERS
+
+
+@pytest.fixture
+def adapters(tmp_path: Path) -> Path:
+    file = tmp_path / "adapters.py"
+    file.write_text(ADAPTERS)
+    return file
+
+
+def test_shipped_methods_are_found_without_import():
+    names = registry.names()
+    assert {"cosine", "improved-baseline", "two-lobe", "native", "tabulated"} <= set(names)
+    for name in names:
+        assert registry.describe(name)
+        assert registry.find(name).name == name
+
+
+@pytest.mark.parametrize("name", registry.names())
+def test_shipped_method_loads(name: str):
+    method = registry.make(name)
+    assert isinstance(method, Method)
+    assert method.name == name
+
+
+def test_unknown_name_gets_the_nearest():
+    with pytest.raises(InputError, match="unknown method 'cosin'; did you mean 'cosine'"):
+        registry.make("cosin")
+
+
+def test_plain_subclass_in_a_file(adapters: Path):
+    method = registry.make(f"{adapters}:Good")
+    assert method.name == "Good"
+    assert registry.make(f"{adapters}:Named", scale=2.0).scale == 2.0
+    assert registry.find(f"{adapters}:Named").name == "with-state"
+
+
+def test_relative_to_the_working_folder(adapters: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.chdir(adapters.parent)
+    assert registry.make("adapters.py:Good").name == "Good"
+
+
+@pytest.mark.parametrize(
+    ("tail", "message"),
+    [
+        (":Goodd", "no class 'Goodd'; did you mean 'Good'"),
+        ("", "name one class"),
+        (":NoMethod", "NoMethod is not a subclass of harness.Method"),
+        (":NoPdf", "NoPdf does not define pdf"),
+    ],
+)
+def test_a_class_that_is_none(adapters: Path, tail: str, message: str):
+    with pytest.raises(InputError, match=message) as refused:
+        registry.make(f"{adapters}{tail}")
+    assert "\n" not in str(refused.value)
+
+
+def test_no_such_file():
+    with pytest.raises(InputError, match="no such file: nowhere/x.py"):
+        registry.find("nowhere/x.py:X")
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("import nowhere_to_be_found\nclass A: pass", "cannot import .*ModuleNotFoundError"),
+        ("import sys\nsys.exit(3)\nclass A: pass", "SystemExit: 3"),
+        ("class A:\n  def", "line 2: not valid Python"),
+    ],
+)
+def test_a_file_that_does_not_import(tmp_path: Path, text: str, message: str):
+    file = tmp_path / "broken.py"
+    file.write_text(text)
+    with pytest.raises(InputError, match=message):
+        registry.make(f"{file}:A")
+
+
+def test_parameters(adapters: Path):
+    with pytest.raises(InputError, match="unknown parameter 'scal'; did you mean 'scale'"):
+        registry.make(f"{adapters}:Named", scal=1)
+    with pytest.raises(InputError, match="unknown parameter 'x'; it takes none"):
+        registry.make(f"{adapters}:Good", x=1)
+
+
+def test_entry_point(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    package = tmp_path / "their_package"
+    package.mkdir()
+    (package / "__init__.py").write_text("")
+    (package / "samplers.py").write_text(ADAPTERS + "\nfrom their_package import helper\n")
+    (package / "helper.py").write_text("VALUE = 1\n")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    point = EntryPoint("theirs", "their_package.samplers:Good", registry.GROUP)
+    monkeypatch.setattr(registry, "entry_points", lambda group: [point])
+    assert "theirs" in registry.names()
+    assert registry.make("theirs").name == "theirs"
+    before = registry.source("theirs")
+    assert "VALUE = 1" in before
+    (package / "helper.py").write_text("VALUE = 22\n")
+    assert registry.source("theirs") != before
+
+
+def test_entry_point_to_nowhere(monkeypatch: pytest.MonkeyPatch):
+    point = EntryPoint("theirs", "no_such_package.x:Y", registry.GROUP)
+    monkeypatch.setattr(registry, "entry_points", lambda group: [point])
+    with pytest.raises(InputError, match="theirs"):
+        registry.make("theirs")
+
+
+def test_source_follows_imports():
+    text = registry.source("improved-baseline")
+    assert "# harness.nets.mlp" in text
+    assert "# harness.protocol.disk" in text
+    assert "# harness.measures" not in text
+    assert "# harness.nets" not in registry.source("cosine")
+
+
+def test_source_of_a_lone_file_follows_its_neighbours(adapters: Path):
+    (adapters.parent / "helper.py").write_text("A = 1\n")
+    adapters.write_text("from helper import A\n" + ADAPTERS)
+    before = registry.source(f"{adapters}:Good")
+    assert str(adapters.parent) not in before
+    (adapters.parent / "helper.py").write_text("A = 234\n")
+    assert registry.source(f"{adapters}:Good") != before
+
+
+def test_comments_and_docstrings_do_not_count():
+    plain = "def f(x):\n    return 'a # b' + x\n"
+    rich = (
+        '"""Doc."""\n\n# why\ndef f(x):  # inline\n    """More\n    lines."""\n\n'
+        "    return 'a # b' + x\n"
+    )
+    assert essence(plain) == essence(rich)
+    assert essence(plain) != essence(plain.replace("a #", "b #"))
+
+
+def test_covered_is_read_again_after_an_edit(tmp_path: Path):
+    file = tmp_path / "x.py"
+    file.write_text("A = 1\n")
+    before = covered(file)
+    file.write_text("A = 1000\n")
+    assert covered(file) != before

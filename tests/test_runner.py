@@ -1,0 +1,343 @@
+"""Running: what is stored stays, what fails says why, what is missing is done."""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+from rich.console import Console
+
+from harness import load_results, store
+from harness.protocol import InputError
+from harness.runner import run as running
+from harness.runner.progress import Pace, duration
+from harness.runner.run import Options, run
+from harness.suite.load import load
+from harness.suite.plan import make_plan
+from tests import fakes
+from tests.fakes import Clock, Probe
+
+ROOT = Path(__file__).resolve().parents[1]
+
+
+@pytest.fixture(autouse=True)
+def _fakes(monkeypatch: pytest.MonkeyPatch) -> None:
+    fakes.install(monkeypatch.setattr)
+
+
+def go(folder: Path, options: Options = Options(), **changes: Any) -> tuple[int, str]:  # noqa: B008
+    """Run a suite of fakes in ``folder``; results in ``folder/out``."""
+    plan = make_plan(load(fakes.suite(folder, **changes)))
+    text = io.StringIO()
+    status = run(plan, folder / "out", options, Console(file=text, width=200, highlight=False))
+    return status, text.getvalue()
+
+
+def rows(folder: Path, **labels: str) -> Any:
+    frame = load_results(folder / "out")
+    for key, value in labels.items():
+        frame = frame[frame[key] == value]
+    return frame
+
+
+def adapters(*names: str) -> list[str]:
+    return ["adapters.py:Good", *(f"adapters.py:{name}" for name in names)]
+
+
+def test_first_and_second_run(tmp_path: Path):
+    status, text = go(tmp_path)
+    assert status == 0
+    assert "12 trials: 12 ok" in text
+    frame = load_results(tmp_path / "out")
+    assert set(frame["status"]) == {"ok"}
+    assert len(frame["trial"].unique()) == 12
+    before = {p: p.stat().st_mtime_ns for p in (tmp_path / "out").glob("*/*")}
+    calls = len(Probe.calls), len(Clock.calls)
+    status, text = go(tmp_path)
+    assert status == 0
+    assert "12 trials, all stored" in text
+    assert (len(Probe.calls), len(Clock.calls)) == calls
+    assert before == {p: p.stat().st_mtime_ns for p in (tmp_path / "out").glob("*/*")}
+
+
+def test_what_a_trial_folder_holds(tmp_path: Path):
+    go(tmp_path)
+    trial = rows(tmp_path, measure="probe", method="with-state").iloc[0]["trial"]
+    folder = tmp_path / "out" / trial
+    names = {p.relative_to(folder).as_posix() for p in folder.rglob("*") if p.is_file()}
+    assert names == {"trial.json", "arrays.npz", "images/flat.exr", "note.txt"}
+    found = json.loads((folder / "trial.json").read_text())
+    assert found["environment"]["machine"]["cores"] >= 1
+    assert found["environment"]["versions"]["torch"]
+    assert found["started"] < "3000"
+    assert found["labels"]["material"] == "fake-a"
+    fit = tmp_path / "out" / found["fit"]
+    assert (fit / "state.safetensors").is_file()
+    text = (tmp_path / "out" / "suite.yaml").read_text()
+    assert load(tmp_path / "suite.yaml").text in text
+    assert str(tmp_path) not in (folder / "trial.json").read_text()
+
+
+def test_a_measure_gets_the_restored_state(tmp_path: Path):
+    go(tmp_path)
+    weight = rows(tmp_path, metric="weight", method="with-state", material="fake-a")["value"].item()
+    fit = rows(tmp_path, measure="fit", method="with-state", material="fake-a")
+    state = store.load_trial(tmp_path / "out", fit["trial"].iloc[0]).tensors()
+    assert weight == pytest.approx(float(state["weights"].sum()))
+    assert fit.set_index("metric").loc["parameters", "value"] == 3
+    assert fit.set_index("metric").loc["final-loss", "value"] == 1
+    # In another process, from the store alone, it is the same.
+    (tmp_path / "out" / rows(tmp_path, metric="weight", method="with-state").iloc[0]["trial"]
+     / "trial.json").unlink()  # fmt: skip
+    go(tmp_path)
+    assert rows(tmp_path, metric="weight", method="with-state", material="fake-a")[
+        "value"
+    ].item() == pytest.approx(weight)
+
+
+@pytest.mark.parametrize(
+    ("name", "status", "reason"),
+    [
+        ("Raises", "error", "RuntimeError: no luck"),
+        ("WrongShape", "error", "WrongShape: pdf has shape [64, 1], expected [64]"),
+        ("Nan", "error", "Nan: pdf is not finite in 64 of 64 rows"),
+        ("NotSample", "error", "NotSample: sample returned a tensor of shape [64, 2], expected a"),
+        ("Slow", "timeout", "took 2 s of 1 s"),
+    ],
+)
+def test_a_bad_adapter_fails_alone(tmp_path: Path, name: str, status: str, reason: str):
+    code, text = go(tmp_path, methods=adapters(name), materials=["fake-a"])
+    assert code == 1
+    assert reason in text
+    fit = rows(tmp_path, method=name, measure="fit")
+    assert fit["status"].item() == status
+    assert fit["reason"].item().startswith(reason)
+    for measure in ("probe", "clock"):
+        row = rows(tmp_path, method=name, measure=measure)
+        assert row["status"].item() == "skipped"
+        assert row["reason"].item().startswith(f"the fit of {name} ended as {status}: {reason}")
+    assert set(rows(tmp_path, method="Good")["status"]) == {"ok"}
+    trial = store.load_trial(tmp_path / "out", fit["trial"].item())
+    assert "Traceback" in trial.traceback
+    # Nothing more to do, and still a failure.
+    code, text = go(tmp_path, methods=adapters(name), materials=["fake-a"])
+    assert code == 1
+    assert "all stored" in text
+
+
+def test_unsupported_is_no_failure(tmp_path: Path):
+    code, _ = go(tmp_path, methods=adapters("Choosy"), materials=["fake-a"])
+    assert code == 0
+    found = rows(tmp_path, method="Choosy")
+    assert set(found["status"]) == {"unsupported"}
+    assert set(found["reason"]) == {"wants features"}
+    _, text = go(tmp_path, methods=adapters("Choosy"), materials=["fake-a"])
+    assert "all stored" in text
+
+
+def test_nan_is_nonfinite(tmp_path: Path):
+    measures = [{"name": "probe", "poison": True}]
+    code, _ = go(tmp_path, measures=measures, scenes=None)
+    assert code == 1
+    bad = rows(tmp_path, metric="mean-pdf")
+    assert set(bad["status"]) == {"nonfinite"}
+    assert set(bad["reason"]) == {"mean-pdf is nan"}
+    assert set(rows(tmp_path, metric="weight")["status"]) == {"ok"}
+
+
+def test_retry_failed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    flag = tmp_path / "flag"
+    monkeypatch.setenv("FAKE_FLAG", str(flag))
+    flag.write_text("")
+    changes = {"methods": adapters("FailsOnce"), "materials": ["fake-a"]}
+    assert go(tmp_path, **changes)[0] == 1
+    flag.unlink()
+    assert go(tmp_path, **changes)[0] == 1, "failed trials are not run again unasked"
+    ran = len(Probe.calls)
+    assert go(tmp_path, Options(retry_failed=True), **changes)[0] == 0
+    assert set(load_results(tmp_path / "out")["status"]) == {"ok"}
+    assert Probe.calls[ran:] == ["FailsOnce"], "only what had failed or was skipped"
+
+
+def test_timed_measures_run_together_with_the_baseline(tmp_path: Path):
+    go(tmp_path, materials=["fake-a"])
+    assert Clock.calls == [["Good", "with-state"]]
+    stored = rows(tmp_path, method="Good", measure="clock")["trial"].item()
+    stamp = (tmp_path / "out" / stored / "trial.json").stat().st_mtime_ns
+    # A method that comes later: the baseline runs along, and its own result stays.
+    go(tmp_path, materials=["fake-a"], methods=adapters("Named", "Choosy", "BadInRender"))
+    assert Clock.calls[1][:2] == ["Good", "BadInRender"]
+    assert (tmp_path / "out" / stored / "trial.json").stat().st_mtime_ns == stamp
+    assert not list((tmp_path / "out").glob(".tmp-*"))
+
+
+def test_one_bad_method_does_not_spoil_a_timed_group(tmp_path: Path):
+    code, _ = go(tmp_path, materials=["fake-a"], methods=adapters("BadInRender", "Named"))
+    assert code == 1
+    assert Clock.calls == [
+        ["Good", "BadInRender", "with-state"],
+        ["Good"],
+        ["Good", "BadInRender"],
+        ["Good", "with-state"],
+    ]
+    found = rows(tmp_path, measure="clock").set_index("method")
+    assert found["status"].to_dict() == {"Good": "ok", "BadInRender": "error", "with-state": "ok"}
+    assert found.loc["BadInRender", "reason"] == "RuntimeError: broke in the render"
+
+
+def test_without_a_baseline_nothing_is_timed(tmp_path: Path):
+    methods = ["adapters.py:Raises", "adapters.py:Named"]
+    code, _ = go(tmp_path, materials=["fake-a"], methods=methods, baseline="Raises")
+    assert code == 1
+    row = rows(tmp_path, method="with-state", measure="clock")
+    assert row["status"].item() == "skipped"
+    assert "the fit of the baseline Raises ended as error" in row["reason"].item()
+    assert Clock.calls == []
+    assert "all stored" in go(
+        tmp_path, materials=["fake-a"], methods=methods, baseline="Raises"
+    )[1]  # fmt: skip
+
+
+def test_only_a_part_keeps_the_rest_planned(tmp_path: Path):
+    code, text = go(tmp_path, Options(only="material=fake-b,method=with-state"))
+    assert code == 0
+    assert "3 trials, 4 to do (2 of them fits)" in text, "timing needs the baseline's fit too"
+    frame = load_results(tmp_path / "out")
+    assert len(frame["trial"].unique()) == 12
+    done = frame[frame["status"] == "ok"]
+    assert set(done["material"]) == {"fake-b"}
+    assert set(frame[frame["status"] == "skipped"]["reason"]) == {"not run yet"}
+    go(tmp_path, Options(only="measure=probe"))
+    assert set(rows(tmp_path, measure="probe")["status"]) == {"ok"}
+    assert set(rows(tmp_path, measure="clock", material="fake-a")["status"]) == {"skipped"}
+    go(tmp_path)
+    assert set(load_results(tmp_path / "out")["status"]) == {"ok"}
+
+
+@pytest.mark.parametrize(
+    ("only", "message"),
+    [
+        ("material=fake-c", "no material 'fake-c' in .*suite.yaml; did you mean"),
+        ("methd=Good", "expected KEY=NAME, .*; did you mean 'method'"),
+        ("Good", "expected KEY=NAME"),
+        ("measure=prob", "no measure 'prob' .*; did you mean 'probe'"),
+    ],
+)
+def test_only_refuses_unknown_names(tmp_path: Path, only: str, message: str):
+    with pytest.raises(InputError, match=message):
+        go(tmp_path, Options(only=only))
+    assert not (tmp_path / "out").exists()
+
+
+def test_dry_run_touches_nothing(tmp_path: Path):
+    code, text = go(tmp_path, Options(dry_run=True))
+    assert code == 0
+    assert "12 trials, 12 to do (4 of them fits)" in text
+    assert "probe · Good · fake-a · seed 0" in text
+    assert not (tmp_path / "out").exists()
+
+
+def test_dask_is_refused(tmp_path: Path):
+    with pytest.raises(InputError, match="dask is not there yet; use --executor local"):
+        go(tmp_path, Options(executor="dask"))
+    with pytest.raises(InputError, match="unknown executor 'locl'; did you mean 'local'"):
+        go(tmp_path, Options(executor="locl"))
+
+
+def test_refused_before_anything_runs(tmp_path: Path):
+    bad = {"name": "adapters.py:Named", "params": {"scael": 1}}
+    with pytest.raises(InputError, match="methods: 'with-state .*unknown parameter 'scael'"):
+        go(tmp_path, methods=["adapters.py:Good", bad])
+    with pytest.raises(InputError, match="report.tables.0.: unknown table 'tabel2'; did you mean"):
+        go(tmp_path, report={"tables": ["tabel2"]})
+    assert store.stored(tmp_path / "out") == []
+    (tmp_path / "out").rmdir() if not any((tmp_path / "out").iterdir()) else None
+
+
+def test_output_must_be_a_folder(tmp_path: Path):
+    (tmp_path / "out").write_text("")
+    with pytest.raises(InputError, match="is a file"):
+        go(tmp_path)
+
+
+def test_a_lost_state_is_fitted_again(tmp_path: Path):
+    go(tmp_path, measures=["probe"], scenes=None)
+    fit = rows(tmp_path, measure="fit", method="with-state", material="fake-a")["trial"].iloc[0]
+    (tmp_path / "out" / fit / "state.safetensors").unlink()
+    assert "all stored" in go(tmp_path, measures=["probe"], scenes=None)[1], "nobody needs it"
+    again = [{"name": "probe", "rows": 9}]
+    assert go(tmp_path, measures=again, scenes=None)[0] == 0
+    assert (tmp_path / "out" / fit / "state.safetensors").is_file()
+
+
+def test_two_labels_share_a_trial(tmp_path: Path):
+    twice = [{"name": "adapters.py:Good", "label": x} for x in ("one", "two")]
+    assert go(tmp_path, methods=twice, baseline="one", measures=["probe"], scenes=None)[0] == 0
+    frame = load_results(tmp_path / "out")
+    assert len(frame["trial"].unique()) == 4
+    assert len(frame[frame["method"] == "one"]) == len(frame[frame["method"] == "two"])
+
+
+def test_interrupt_stores_and_resumes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    original, calls = Probe.run, []
+
+    def interrupted(self: Probe, jobs: Any, notify: Any) -> Any:
+        calls.append(1)
+        if len(calls) == 2:
+            raise KeyboardInterrupt
+        return original(self, jobs, notify)
+
+    monkeypatch.setattr(Probe, "run", interrupted)
+    code, text = go(tmp_path)
+    assert code == running.INTERRUPTED
+    assert "interrupted after 3 of 12 trials" in text
+    assert "the same command goes on" in text
+    assert len(store.stored(tmp_path / "out")) == 3
+    assert not list((tmp_path / "out").glob(".tmp-*"))
+    code, text = go(tmp_path)
+    assert code == 0
+    assert "9 to do" in text
+
+
+def test_kill_leaves_no_partial_folder(tmp_path: Path):
+    flag = tmp_path / "flag"
+    changes = {"methods": adapters("Endless"), "materials": ["fake-a"]}
+    path = fakes.suite(tmp_path, **changes)
+    environment = os.environ | {"FAKE_FLAG": str(flag), "PYTHONPATH": str(ROOT)}
+    command = [sys.executable, "-m", "tests.fakes", "run", str(path), "--out", f"{tmp_path}/out"]
+    process = subprocess.Popen(command, env=environment, cwd=ROOT, stdout=subprocess.DEVNULL)
+    deadline = time.monotonic() + 60
+    while not flag.exists() and time.monotonic() < deadline:
+        assert process.poll() is None
+        time.sleep(0.05)
+    with pytest.raises(InputError, match="another run is writing there"):
+        go(tmp_path, **changes)
+    process.send_signal(signal.SIGKILL)
+    process.wait()
+    assert len(store.stored(tmp_path / "out")) == 1, "what was finished is stored"
+    assert len(list((tmp_path / "out").glob(".tmp-*"))) == 1
+    frame = load_results(tmp_path / "out")
+    assert set(frame["status"]) == {"ok", "skipped"}
+    go(tmp_path, Options(only="method=Good"), **changes)
+    assert not list((tmp_path / "out").glob(".tmp-*"))
+    assert set(rows(tmp_path, method="Good")["status"]) == {"ok"}
+
+
+def test_time_left(tmp_path: Path):
+    plan = make_plan(load(fakes.suite(tmp_path)))
+    pace = Pace(plan.trials, {})
+    assert str(pace) == ""
+    fits = [t for t in plan.trials if t.measure == "fit"]
+    pace.finish(fits[0], 10.0)
+    assert str(pace) == "about 2 min left"  # 11 trials of 10 s
+    assert (duration(0.2), duration(89), duration(91), duration(12000)) == (
+        "1 s", "89 s", "2 min", "3 h 20 min"
+    )  # fmt: skip
