@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 
 
@@ -22,15 +23,22 @@ class Declared:
 def declared(file: Path) -> list[Declared]:
     """Top-level classes of ``file``; none if it is not valid Python (importing it will say so)."""
     try:
-        tree = ast.parse(file.read_text(encoding="utf-8"))
+        stamp = file.stat()
+        return list(_declared(file, (stamp.st_mtime_ns, stamp.st_size)))
     except (OSError, ValueError, SyntaxError):
         return []
+
+
+@lru_cache(maxsize=512)
+def _declared(file: Path, stamp: tuple[int, int]) -> tuple[Declared, ...]:
+    """Remembered until the file changes, which ``stamp`` tells."""
+    tree = ast.parse(file.read_text(encoding="utf-8"))
     title = _first_line(tree)
-    return [
+    return tuple(
         Declared(_literal(node), node.name, file, _first_line(node) or title)
         for node in tree.body
         if isinstance(node, ast.ClassDef)
-    ]
+    )
 
 
 def named(folder: Path) -> dict[str, Declared]:
@@ -53,9 +61,9 @@ def _literal(node: ast.ClassDef) -> str:
             targets, value = [item.target], item.value
         else:
             continue
-        if any(isinstance(target, ast.Name) and target.id == "name" for target in targets):
-            if isinstance(value, ast.Constant) and isinstance(value.value, str):
-                return value.value
+        named = any(isinstance(target, ast.Name) and target.id == "name" for target in targets)
+        if named and isinstance(value, ast.Constant) and isinstance(value.value, str):
+            return value.value
     return ""
 
 

@@ -58,11 +58,12 @@ def essence(text: str) -> str:
     for node in ast.walk(ast.parse(text)):
         # A string as a statement of its own is a docstring or an attribute's; keep one that
         # shares its line with code.
-        if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant):
-            if isinstance(node.value.value, str) and node.end_lineno is not None:
-                if lines[node.lineno - 1].lstrip()[:1] in "'\"rR":
-                    for row in range(node.lineno - 1, node.end_lineno):
-                        lines[row] = ""
+        if not (isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant)):
+            continue
+        alone = lines[node.lineno - 1].lstrip()[:1] in "'\"rR"
+        if alone and isinstance(node.value.value, str):
+            for row in range(node.lineno - 1, node.end_lineno or node.lineno):
+                lines[row] = ""
     return "\n".join(line.rstrip() for line in lines if line.strip())
 
 

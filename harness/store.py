@@ -283,7 +283,7 @@ def _rows(trial: Stored, labels: dict[str, Any]) -> list[dict[str, Any]]:
         return [{**common, **empty, "unit": "", "status": trial.status, "reason": trial.reason}]
     rows = []
     for record in trial.records:
-        fine = trial.status == "nonfinite" and math.isfinite(record["value"])
+        fine = trial.status == "nonfinite" and not math.isnan(record["value"])
         status, reason = ("ok", "") if fine else (trial.status, trial.reason)
         rows.append({**common, **record, "status": status, "reason": reason})
     return rows

@@ -121,11 +121,11 @@ def test_every_planned_trial_is_a_row(tmp_path: Path):
 
 def test_only_the_bad_rows_of_a_nonfinite_trial_say_so(tmp_path: Path):
     plan(tmp_path, HASH)
-    records = [Record("kl", math.inf), Record("mse", 0.5)]
-    store.save_trial(tmp_path, described(), Outcome("nonfinite", "kl is inf", records))
+    records = [Record("kl", math.nan), Record("chi2", math.inf), Record("mse", 0.5)]
+    store.save_trial(tmp_path, described(), Outcome("nonfinite", "kl is nan", records))
     frame = load_results(tmp_path)
-    assert list(frame["status"]) == ["nonfinite", "ok"]
-    assert list(frame["reason"]) == ["kl is inf", ""]
+    assert list(frame["status"]) == ["nonfinite", "ok", "ok"]
+    assert list(frame["reason"]) == ["kl is nan", "", ""]
 
 
 def test_stale_trials_are_left_out_unless_asked_for(tmp_path: Path):

@@ -92,6 +92,29 @@ class Targets:
         density = self.mass[row].flatten(1).gather(1, cell) * (n * n / math.pi)
         return self.condition[row], square_to_disk(u), density
 
+    def mixed(
+        self, conditions: int, directions: int, generator: torch.Generator
+    ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """As :meth:`uniform`, half of the directions drawn from p*, and weights [B, D].
+
+        The weight is the uniform density over that of the mixture. Weighted means have the
+        expectation of :meth:`uniform`'s, with far less noise where p* is narrow.
+        """
+        row = torch.randint(len(self.condition), (conditions,), generator=generator)
+        row = row.to(self.mass.device)
+        n, half = self.resolution, (directions + 1) // 2
+        mass = self.mass[row].flatten(1)
+        u = torch.rand(conditions, directions, 3, generator=generator).to(mass.device)
+        cdf = mass.cumsum(1)
+        cell = torch.searchsorted(cdf, u[:, :half, 0] * cdf[:, -1:], right=True)
+        even = (u[:, half:, 0] * (n * n)).long()
+        cell = torch.cat([cell, even], 1).clamp(max=n * n - 1)
+        relative = mass.gather(1, cell) * (n * n)
+        weight = directions / (half * relative + (directions - half))
+        corner = torch.stack([cell // n, cell % n], -1)
+        wo = square_to_disk((corner + u[..., 1:]) / n)
+        return self.condition[row], wo, relative / math.pi, weight
+
 
 _cache: OrderedDict = OrderedDict()
 

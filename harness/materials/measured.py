@@ -2,8 +2,8 @@ r"""Measured BSDFs in the tensor-file format of the RGL database (Dupuy and Jako
 
 Their data has hard cases that are left as they are: colour channels below zero (in some
 files for a third of all pairs of directions), values in the hundreds and thousands, and a
-sampler that loses up to a few percent of its samples below the horizon. :func:`facts`
-measures them.
+sampler that loses up to a few percent of its samples below the horizon. The measure ``pdf``
+records both, as ``negative-share`` and as the ``invalid-share`` of the method ``native``.
 
 The file: the 12 bytes ``tensor_file\0``, a version of two bytes (1, 0), a count of fields
 (uint32); then for each field the length of its name (uint16), the name, its dimension
@@ -17,9 +17,7 @@ import struct
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import torch
-
-from harness.protocol import InputError, Material, square_to_disk
+from harness.protocol import InputError
 
 MAGIC = b"tensor_file\0"
 NEEDED = ("phi_i", "theta_i", "ndf", "sigma", "vndf", "luminance", "rgb", "jacobian")
@@ -96,42 +94,3 @@ def check(path: Path, where: str) -> None:
 def bsdf(path: Path) -> dict[str, Any]:
     """The Mitsuba dictionary."""
     return {"type": "measured", "filename": str(path.resolve())}
-
-
-def facts(material: Material, n: int, generator: torch.Generator) -> dict[str, float]:
-    """Hard cases of a material's data, as shares of ``n`` random conditions and directions.
-
-    Directions are uniform on the disk. ``negative``: some channel below zero;
-    ``negative_luminance``; ``pdf_zero``: the material's own pdf is zero where its value is
-    not. Of samples drawn by the material itself, ``invalid`` have no direction above the
-    horizon, and for ``pdf_differs`` the density stated with the sample is off the pdf there
-    by more than 0.1 %. ``least`` and ``greatest`` are values of a channel.
-    """
-    from harness.columns.bridge import columns_of, tensor_of
-    from harness.protocol import luminance
-
-    condition = material.conditions(n, generator)
-    wo = square_to_disk(torch.rand(n, 2, generator=generator))
-    value = material.eval(condition, wo)
-    native: Any = material
-    columns = columns_of(condition)
-    pdf = tensor_of(native.native_pdf_columns(columns, columns_of(wo)), rows=n)
-    u = torch.rand(n, 3, generator=generator)
-    x, y, stated = native.native_sample_columns(columns, columns_of(u))
-    there = tensor_of(native.native_pdf_columns(columns, [x, y]), rows=n)
-    drawn = tensor_of(stated, rows=n)
-    valid = drawn > 0
-    differs = (there - drawn).abs() > 1e-3 * drawn
-
-    def share(which: torch.Tensor) -> float:
-        return which.double().mean().item()
-
-    return {
-        "negative": share((value < 0).any(-1)),
-        "negative_luminance": share(luminance(value) < 0),
-        "pdf_zero": share((pdf == 0) & (value != 0).any(-1)),
-        "invalid": share(~valid),
-        "pdf_differs": share(differs & valid),
-        "least": value.min().item(),
-        "greatest": value.max().item(),
-    }

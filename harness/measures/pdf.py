@@ -11,7 +11,7 @@ import torch
 from harness.fitting.targets import cells
 from harness.measures.base import Job, Measure, Outcome, Record
 from harness.measures.base import Settings as BaseSettings
-from harness.protocol import inside_disk
+from harness.protocol import inside_disk, square_to_disk
 from harness.stats import divergence
 from harness.stats.intervals import mean_interval
 
@@ -34,6 +34,7 @@ class Pdf(Measure):
     each, the same points for p* and p. The chi-square divergence is the variance of
     f / p over its squared mean under constant light. Both are infinite where p = 0 < p*;
     the share of p* that is so lost is a record of its own. Intervals are over conditions.
+    ``negative-share`` is a fact of the material: how much of measured data is below zero.
     """
 
     name = "pdf"
@@ -81,9 +82,17 @@ class Pdf(Measure):
         chi2 = series["chi2"][0]
         records.append(Record("chi2-median", float(np.median(chi2)), unit="1"))
         records.append(Record("black-conditions", float(settings.conditions - len(chi2)), unit="1"))
+        records.append(Record("negative-share", self._negative_share(job, condition), unit="1"))
         arrays = {name: values for name, (values, _) in series.items()}
         arrays["condition"] = torch.cat(kept).cpu().numpy()
         return Outcome(records=records, arrays=arrays)
+
+    @staticmethod
+    def _negative_share(job: Job, condition: torch.Tensor) -> float:
+        """Share of uniform directions at which some channel of the BSDF is below zero."""
+        rows = condition.repeat_interleave(256, 0)
+        u = torch.rand(len(rows), 2, generator=job.generator).to(rows.device)
+        return float((job.material.eval(rows, square_to_disk(u)) < 0).any(1).double().mean())
 
     @staticmethod
     def _invalid_share(job: Job, condition: torch.Tensor, samples: int) -> np.ndarray:

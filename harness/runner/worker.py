@@ -214,7 +214,8 @@ def finished(outcome: Outcome) -> Outcome:
     """``outcome``, as nonfinite if it is a success that holds a number which is none."""
     if outcome.status != "ok":
         return outcome
-    bad = [f"{r.metric} is {r.value}" for r in outcome.records if not math.isfinite(r.value)]
+    # Infinite may be the answer, as for a KL with p = 0 somewhere; nan is none.
+    bad = [f"{r.metric} is nan" for r in outcome.records if math.isnan(r.value)]
     for name, image in outcome.images.items():
         count = int((~np.isfinite(image)).sum())
         if count:
