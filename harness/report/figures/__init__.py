@@ -1,0 +1,25 @@
+"""The figures, by the names a suite uses.
+
+Each takes results and a :class:`~harness.report.figures.canvas.Canvas` to save on, and gives
+what was drawn, or a sentence saying why nothing was.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from harness.report.figures.canvas import Canvas, Drawn
+from harness.report.figures.convergence import convergence
+from harness.report.figures.images import images
+from harness.report.figures.slices import slices
+from harness.report.figures.tradeoff import tradeoff
+from harness.report.results import Results
+
+FIGURES: dict[str, Callable[[Results, Canvas], list[Drawn] | str]] = {
+    "tradeoff": tradeoff,
+    "convergence": convergence,
+    "slices": slices,
+    "images": images,
+}
+
+__all__ = ["FIGURES", "Canvas", "Drawn"]

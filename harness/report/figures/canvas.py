@@ -1,0 +1,153 @@
+"""Where figures are saved, and how they all look."""
+
+from __future__ import annotations
+
+import math
+import re
+import textwrap
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
+from harness.report import numbers
+
+DPI = 160
+_CSS_PIXELS = 110
+"""Per inch on the page: a little larger than life, so that small print can be read."""
+_STYLE = {
+    "font.family": "sans-serif",
+    "font.sans-serif": ["DejaVu Sans"],
+    "font.size": 8.0,
+    "axes.titlesize": 9.0,
+    "axes.labelsize": 8.0,
+    "xtick.labelsize": 7.0,
+    "ytick.labelsize": 7.0,
+    "legend.fontsize": 8.0,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.linewidth": 0.6,
+    "axes.edgecolor": "#555555",
+    "xtick.color": "#444444",
+    "ytick.color": "#444444",
+    "xtick.minor.width": 0.4,
+    "ytick.minor.width": 0.4,
+    "grid.color": "#e2e2e2",
+    "grid.linewidth": 0.5,
+    "axes.axisbelow": True,
+    "legend.frameon": False,
+    "figure.facecolor": "white",
+    "savefig.facecolor": "white",
+    "pdf.fonttype": 42,  # TrueType, so that the text of a PDF can be edited and searched
+    "svg.hashsalt": "harness",
+}
+
+
+_STEPS = (
+    (0.3, (1.0, 1.2, 1.4, 1.6, 1.8, 2.0, 2.5, 3.0, 3.5, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0)),
+    (0.6, (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0)),
+    (2.0, (1.0, 2.0, 5.0)),
+    (math.inf, (1.0,)),
+)
+"""(decades spanned by an axis, multiples of a power of ten that are labelled below that)."""
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """One figure on disk: the PNG, all its files, what it shows, its size in CSS pixels."""
+
+    png: Path
+    files: list[Path]
+    title: str
+    caption: str
+    width: int
+    height: int
+
+
+@dataclass
+class Canvas:
+    """Saves figures into ``folder``."""
+
+    folder: Path
+    drawn: list[Drawn] = field(default_factory=list)
+
+    def save(
+        self, figure: Figure, name: str, title: str, caption: str, vector: bool = True
+    ) -> Drawn:
+        """Write ``name``.png, and .pdf where lines make up the figure. No dates inside."""
+        self.folder.mkdir(parents=True, exist_ok=True)
+        stem = re.sub(r"[^A-Za-z0-9._-]+", "-", name)
+        png = self.folder / f"{stem}.png"
+        # Lay the axes out once: it takes longer than drawing them.
+        figure.draw_without_rendering()
+        figure.set_layout_engine("none")
+        figure.savefig(png, dpi=DPI, metadata={"Software": None})
+        files = [png]
+        if vector:
+            pdf = png.with_suffix(".pdf")
+            figure.savefig(pdf, metadata={"CreationDate": None, "Producer": None, "Creator": None})
+            files.append(pdf)
+        width, height = (round(_CSS_PIXELS * inches) for inches in figure.get_size_inches())
+        self.drawn.append(Drawn(png, files, title, caption, width, height))
+        return self.drawn[-1]
+
+
+@contextmanager
+def styled() -> Iterator[None]:
+    """The look of all figures, for as long as the context lasts."""
+    with mpl.rc_context(_STYLE):
+        yield
+
+
+def grid_shape(panels: int, widest: int = 4) -> tuple[int, int]:
+    """(rows, columns) of a grid of panels: as few rows as can be, then as few columns."""
+    rows = -(-panels // widest)
+    return rows, -(-panels // rows)
+
+
+def log_ticks(panel: Axes) -> None:
+    """Labels where a logarithmic axis needs them: decades, or between where it spans less."""
+    for axis in (panel.xaxis, panel.yaxis):
+        low, high = axis.get_view_interval()
+        decades = math.log10(high / low)
+        steps = next(steps for widest, steps in _STEPS if decades < widest)
+        axis.set_major_locator(LogLocator(subs=steps, numticks=8))
+        axis.set_major_formatter(FuncFormatter(_tick_label))
+        axis.set_minor_formatter(NullFormatter())
+
+
+def _tick_label(value: float, _: int) -> str:
+    return f"{value:g}" if 1e-3 <= value < 1e4 else numbers.plain(value, 0)
+
+
+def sheet(width: float, height: float) -> tuple[Figure, Axes]:
+    """An empty figure whose one pair of axes has inches as its units, the origin below left.
+
+    Many pictures on one pair of axes draw much faster than each on its own.
+    """
+    figure = Figure(figsize=(width, height))
+    axes = figure.add_axes((0, 0, 1, 1))
+    axes.set_axis_off()
+    axes.set_xlim(0, width)
+    axes.set_ylim(0, height)
+    axes.set_autoscale_on(False)
+    return figure, axes
+
+
+def picture(axes: Axes, pixels: Any, box: tuple[float, float, float, float], **options: Any) -> Any:
+    """Show ``pixels`` in ``box`` (left, bottom, width, height) of a :func:`sheet`."""
+    left, bottom, width, height = box
+    extent = (left, left + width, bottom, bottom + height)
+    options = {"aspect": "auto", "interpolation": "nearest"} | options
+    return axes.imshow(pixels, extent=extent, **options)
+
+
+def wrapped(label: str, width: int = 13) -> str:
+    """A method's label on several lines, broken after hyphens."""
+    return "\n".join(textwrap.wrap(label, width, break_long_words=False))

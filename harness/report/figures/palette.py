@@ -1,0 +1,66 @@
+"""One colour, marker and dash per method, the same in every figure.
+
+Okabe and Ito's and Paul Tol's colours, which keep apart under the common colour-vision
+deficiencies. Colour is never alone: marker and dash differ too. The floor and the ceiling are
+grey and black.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from harness.report.results import Results
+
+_DASHED, _DOTTED, _DASH_DOT = (0, (5, 2)), (0, (1, 1.5)), (0, (6, 1.5, 1, 1.5))
+
+
+@dataclass(frozen=True)
+class Look:
+    """How a method is drawn."""
+
+    colour: str
+    marker: str
+    dash: Any = "-"
+
+
+_KNOWN = {
+    "cosine": Look("#8c8c8c", "o", _DOTTED),
+    "blinn-phong": Look("#E69F00", "v"),
+    "improved-baseline": Look("#0072B2", "s"),
+    "two-lobe": Look("#009E73", "^"),
+    "realnvp": Look("#CC79A7", "<", _DASHED),
+    "neural-spline-flow": Look("#D55E00", "D"),
+    "histogram": Look("#999933", ">", _DASHED),
+    "histogram-mixture": Look("#5B2A9D", "P"),
+    "importance-baked": Look("#882255", "X"),
+    "native": Look("#44AA99", "p", _DASH_DOT),
+    "tabulated": Look("#000000", "*", _DASHED),
+}
+_SPARE = (
+    Look("#56B4E9", "h", _DASH_DOT),
+    Look("#7A4B1E", "d", _DASHED),
+    Look("#DDAA33", "8", _DASH_DOT),
+    Look("#332288", "H", _DOTTED),
+    Look("#117733", "v", _DOTTED),
+    Look("#AA4466", "s", _DASH_DOT),
+    Look("#88CCEE", "^", _DASHED),
+    Look("#661100", "D", _DOTTED),
+)
+
+
+def looks(results: Results) -> dict[str, Look]:
+    """Label -> look. Known names have their own; variants and newcomers take spare ones."""
+    chosen: dict[str, Look] = {}
+    taken: set[str] = set()
+    # A label that is the registry name comes first, so that a variant cannot take its look.
+    for method in sorted(results.methods, key=lambda m: m.label != m.name):
+        if method.name in _KNOWN and method.name not in taken:
+            chosen[method.label] = _KNOWN[method.name]
+            taken.add(method.name)
+    spare = 0
+    for method in results.methods:
+        if method.label not in chosen:
+            chosen[method.label] = _SPARE[spare % len(_SPARE)]
+            spare += 1
+    return chosen

@@ -1,0 +1,31 @@
+"""A table as tidy CSV: a line per cell, all digits, and the reason where there is no number."""
+
+from __future__ import annotations
+
+import csv as writer
+import io
+
+from harness.report.table import Cell, Table
+
+HEADER = ["section", "row", "column", "value", "ci_low", "ci_high", "best", "text", "note"]
+
+
+def csv(table: Table) -> str:
+    """All cells; ``nan`` where there is no number, with the reason under ``note``."""
+    out = io.StringIO()
+    lines = writer.writer(out, lineterminator="\n")
+    lines.writerow(HEADER)
+    for section in table.sections:
+        for row in section.rows:
+            for column, cell in zip(table.columns, row.cells, strict=True):
+                lines.writerow([section.title, row.label, column, *_fields(cell)])
+    return out.getvalue()
+
+
+def _fields(cell: Cell) -> list[str]:
+    numbers = [
+        "nan" if number is None or cell.missing else repr(float(number))
+        for number in (cell.value, cell.low, cell.high)
+    ]
+    text = "†" if cell.missing else " ".join(part for part in cell.parts if part)
+    return [*numbers, "yes" if cell.bold else "no", text, cell.missing or cell.warning]

@@ -1,0 +1,22 @@
+"""The tables, by the names a suite uses. Each takes results and gives a table, or why not."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from harness.report.results import Results
+from harness.report.table import Table
+from harness.report.tables.bias import bias
+from harness.report.tables.pdf import pdf
+from harness.report.tables.speedup import equal_spp, table2
+from harness.report.tables.status import status
+from harness.report.tables.timing import timing
+
+TABLES: dict[str, Callable[[Results], Table | str]] = {
+    "table2": table2,
+    "equal-spp": equal_spp,
+    "pdf": pdf,
+    "bias": bias,
+    "timing": timing,
+    "status": status,
+}

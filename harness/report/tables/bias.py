@@ -1,0 +1,89 @@
+"""Is a method fast because it is wrong? z-tests of the mean images, taken together."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from harness.report import numbers
+from harness.report.combine import Estimate
+from harness.report.results import MethodColumn, Results
+from harness.report.table import Cell, Row, Section, Table
+from harness.report.tables.common import circumstances
+from harness.stats import holm
+
+LEVEL = 0.05
+"""Chance that any unbiased method at all is called biased, over the whole table."""
+MEASURE = "equal-spp"
+
+Key = tuple[str, str, str]
+"""(material, method label, scene)"""
+
+
+def bias(results: Results) -> Table | str:
+    """Holm-corrected p-values of each method's mean image against the reference."""
+    corrected = corrected_p(results)
+    if not corrected:
+        return f"no trial of the measure {MEASURE} has a bias test"
+    sections = []
+    for scene in results.scenes(MEASURE):
+        rows = [
+            Row(material, [_cell(results, corrected, material, m, scene) for m in results.methods])
+            for material in results.materials
+        ]
+        sections.append(Section(scene, rows))
+    found = sum(p < LEVEL for p in corrected.values())
+    said = circumstances(results, MEASURE)
+    return Table(
+        name="bias",
+        title="Bias",
+        caption=(
+            "p-value of the test of the method's mean image against a long render by Mitsuba's "
+            "own sampler and light sampling, after "
+            f"Holm's correction over the {len(corrected)} tests of this table. Below {LEVEL:g} "
+            f"the method is biased (‡): {found or 'none'} of {len(corrected)}. {said}"
+        ).strip(),
+        corner="material",
+        columns=[method.label for method in results.methods],
+        sections=sections,
+    )
+
+
+def corrected_p(results: Results) -> dict[Key, float]:
+    """Holm-corrected p-values of all tests stored; the smallest over seeds for each cell."""
+    rows = results.frame
+    rows = rows[(rows["measure"] == MEASURE) & (rows["metric"] == "bias-p")]
+    rows = rows[(rows["status"] == "ok") & rows["value"].notna()]
+    keys = list(zip(rows["material"], rows["method"], rows["scene"], strict=True))
+    corrected: dict[Key, float] = {}
+    for key, p in zip(keys, holm(rows["value"]), strict=True):
+        corrected[key] = min(float(p), corrected.get(key, 1.0))
+    return corrected
+
+
+def bias_warnings(results: Results) -> Callable[[str, str, str], str]:
+    """(material, method, scene) -> the warning to put on a speed-up; "" if unbiased."""
+    corrected = corrected_p(results)
+
+    def warning(material: str, method: str, scene: str) -> str:
+        if corrected.get((material, method, scene), 1.0) >= LEVEL:
+            return ""
+        return (
+            "biased: the mean image differs from the reference by more than noise (table of bias)"
+        )
+
+    return warning
+
+
+def _cell(
+    results: Results, corrected: dict[Key, float], material: str, method: MethodColumn, scene: str
+) -> Cell:
+    raw = results.number(MEASURE, "bias-p", material, method.label, scene)
+    if isinstance(raw, str):
+        return Cell(missing=raw, ceiling=method.ceiling)
+    p = corrected[(material, method.label, scene)]
+    z = results.number(MEASURE, "bias-z", material, method.label, scene)
+    warning = ""
+    if p < LEVEL:
+        size = f", z = {numbers.plain(z.value, 1)}" if isinstance(z, Estimate) else ""
+        warning = f"biased: {method.label} on {material}{size}"
+    return Cell(p, text=numbers.p_value(p), warning=warning, ceiling=method.ceiling)

@@ -1,0 +1,121 @@
+"""What the tables share: cells from estimates, rows of materials, and the circumstances."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from harness.report.combine import Estimate
+from harness.report.results import MethodColumn, Results
+from harness.report.table import Cell, Row, embolden
+
+Number = Callable[[str, MethodColumn], Estimate | str]
+"""(material, method) -> the number, or the reason why there is none."""
+Mean = Callable[[list[Estimate], int], Estimate]
+
+BOLD_LEGEND = (
+    "Bold: the best of its row, where its interval lies clear of every other's. Brackets: 95% "
+    "intervals. † no number, ‡ a number to be read with its note; neither competes."
+)
+CEILING_LEGEND = (
+    "tabulated (italic) is the ceiling: too slow and too large to be used, so it does not compete."
+)
+
+
+def cell(number: Estimate | str, method: MethodColumn, suffix: str = "", warning: str = "") -> Cell:
+    """A number, or a dagger with its reason."""
+    if isinstance(number, str):
+        return Cell(missing=number, ceiling=method.ceiling)
+    return Cell(
+        number.value,
+        number.low,
+        number.high,
+        suffix=suffix,
+        warning=warning or number.note,
+        ceiling=method.ceiling,
+    )
+
+
+def material_rows(
+    results: Results,
+    number: Number,
+    best: str,
+    mean: Mean | None,
+    mean_label: str,
+    suffix: str = "",
+    warning: Callable[[str, MethodColumn], str] = lambda material, method: "",
+) -> list[Row]:
+    """A row per material with a cell per method, and the row of means below."""
+    rows = []
+    for material in results.materials:
+        cells = [
+            cell(number(material, m), m, suffix, warning(material, m)) for m in results.methods
+        ]
+        rows.append(Row(material, embolden(cells, best)))
+    if mean is None or len(results.materials) < 2:
+        return rows
+    means = [_mean_cell(results, number, m, mean, suffix, warning) for m in results.methods]
+    return [*rows, Row(mean_label, embolden(means, best), summary=True)]
+
+
+def as_baseline(text: str, method: MethodColumn) -> Cell:
+    """The reference of a ratio: one by definition, without an interval."""
+    return Cell(1.0, 1.0, 1.0, text=text, ceiling=method.ceiling)
+
+
+def legend(results: Results) -> list[str]:
+    """The lines under a table whose rows are contests."""
+    return [BOLD_LEGEND] + [CEILING_LEGEND] * any(m.ceiling for m in results.methods)
+
+
+def circumstances(results: Results, measure: str, *counts: str, timed: bool = False) -> str:
+    """Profile, seeds, counts and (for times) machine of a measure, as caption sentences."""
+    said = [part for part in counts if part]
+    seeds = sorted(set(results.frame.loc[results.frame["measure"] == measure, "seed"]))
+    if len(seeds) > 1:
+        said.append(f"{len(seeds)} seeds")
+    if results.profile:
+        said.append(f"profile {results.profile}")
+    text = "; ".join(said)
+    text = f"{text[0].upper()}{text[1:]}." if text else ""
+    if timed:
+        machines = sorted({machine(results, trial) for trial in results.trials(measure)} - {""})
+        if machines:
+            text += f" Machine: {'; '.join(machines)}."
+        if len(machines) > 1:
+            text += " Times of different machines are not to be compared."
+    return text.strip()
+
+
+def machine(results: Results, trial: str) -> str:
+    """The machine a trial ran on, in words; "" if not stored."""
+    return machine_words(results.stored(trial).trial.get("machine", ""))
+
+
+def machine_words(machine: Any) -> str:
+    """A machine's description as one line: processor, cores, graphics card."""
+    if not isinstance(machine, dict):
+        return str(machine or "")
+    words = {**machine, "cores": f"{machine['cores']} cores"} if "cores" in machine else machine
+    return ", ".join(str(word) for word in words.values() if word)
+
+
+def _mean_cell(
+    results: Results,
+    number: Number,
+    method: MethodColumn,
+    mean: Mean,
+    suffix: str,
+    warning: Callable[[str, MethodColumn], str],
+) -> Cell:
+    numbers = {material: number(material, method) for material in results.materials}
+    known = {m: n for m, n in numbers.items() if isinstance(n, Estimate)}
+    if not known:
+        return Cell(missing="no number for any material", ceiling=method.ceiling)
+    try:
+        combined = mean(list(known.values()), len(numbers))
+    except ValueError as error:
+        return Cell(missing=str(error), ceiling=method.ceiling)
+    doubtful = [material for material in known if warning(material, method)]
+    said = f"biased on {', '.join(doubtful)}" if doubtful else ""
+    return cell(combined, method, suffix, "; ".join(x for x in (combined.note, said) if x))

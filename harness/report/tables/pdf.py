@@ -1,0 +1,65 @@
+"""How close each method's pdf comes to the target, over conditions held out from fitting."""
+
+from __future__ import annotations
+
+from harness.report.combine import arithmetic_mean, geometric_mean
+from harness.report.results import Results
+from harness.report.table import Section, Table
+from harness.report.tables.common import circumstances, legend, material_rows
+
+MEASURE = "pdf"
+_METRICS = (
+    ("kl", "KL(p* ∥ p) [nats]", arithmetic_mean, "mean", True),
+    ("chi2", "χ² divergence [1]", geometric_mean, "geometric mean", True),
+    (
+        "chi2-median",
+        "χ² divergence, median condition [1]",
+        geometric_mean,
+        "geometric mean",
+        False,
+    ),
+    ("mse", "MSE [1]", geometric_mean, "geometric mean", False),
+    ("invalid-share", "share of invalid samples [1]", None, "", False),
+    ("lost-share", "share of p* never sampled [1]", None, "", False),
+)
+
+
+def pdf(results: Results) -> Table | str:
+    """A section per divergence: rows materials, columns methods, lower is better."""
+    if not results.has(MEASURE):
+        return f"no trial of the measure {MEASURE} is stored"
+    sections = []
+    for metric, title, mean, mean_label, brief in _METRICS:
+        if not (results.frame["metric"] == metric).any():
+            continue
+
+        def number(material, method, metric=metric):
+            return results.number(MEASURE, metric, material, method.label)
+
+        # A share of invalid samples is no contest: cosine has none and is no better for it.
+        best = "low" if mean is not None else ""
+        rows = material_rows(results, number, best, mean, mean_label)
+        sections.append(Section(title, rows, brief))
+    if not sections:
+        rows = material_rows(
+            results, lambda m, c: results.number(MEASURE, "kl", m, c.label), "", None, ""
+        )
+        sections = [Section("KL(p* ∥ p) [nats]", rows)]
+    conditions = results.counts(MEASURE, "kl")
+    said = circumstances(
+        results, MEASURE, f"{conditions} held-out conditions" if conditions else ""
+    )
+    return Table(
+        name="pdf",
+        title="Quality of the pdf",
+        caption=(
+            "Divergence of the method's pdf p from the target p*, the normalised luminance of "
+            "the BSDF over the projected disk; mean over conditions held out from fitting. The χ² "
+            f"divergence is the variance under constant light. Lower is better. {said}"
+        ).strip(),
+        corner="material",
+        columns=[method.label for method in results.methods],
+        sections=sections,
+        best="low",
+        legend=legend(results),
+    )

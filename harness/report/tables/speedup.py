@@ -1,0 +1,121 @@
+"""Speed-up factors over the baseline: the paper's Table 2, and the same at equal samples."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+from harness.report.combine import Estimate, geometric_mean, ratio
+from harness.report.results import MethodColumn, Results
+from harness.report.table import Row, Section, Table
+from harness.report.tables.bias import bias_warnings
+from harness.report.tables.common import as_baseline, circumstances, legend, material_rows
+
+_MEAN_LEGEND = "Geometric mean: the materials as given; its interval is that of the measurements."
+
+
+def table2(results: Results) -> Table | str:
+    """Speed-up at equal time: (variance x seconds per sample) of the baseline over the method's."""
+    caption = (
+        "The runtime that {baseline} needs for equal quality over the runtime of the method: "
+        "(variance × seconds per sample) of the one over that of the other (×, higher is better)."
+    )
+    return _speedups(
+        results, "table2", "Speed-up at equal time", "speedup-equal-time", caption, timed=True
+    )
+
+
+def equal_spp(results: Results) -> Table | str:
+    """Speed-up at equal samples: variance of one sample of the baseline over the method's."""
+    caption = (
+        "Variance of one sample of {baseline} over that of the method (×, higher is better): "
+        "the speed-up if sampling cost nothing."
+    )
+    return _speedups(
+        results, "equal-spp", "Improvement at equal samples", "speedup-equal-spp", caption
+    )
+
+
+def _speedups(
+    results: Results, name: str, title: str, metric: str, caption: str, timed: bool = False
+) -> Table | str:
+    # The timed measure compares with the baseline batch by batch; without it, the ratio of the
+    # two recorded variances serves for equal samples.
+    measure = "equal-time" if timed or results.has("equal-time") else "equal-spp"
+    if not results.has(measure):
+        return f"no trial of the measure {measure} is stored"
+    warnings = bias_warnings(results)
+    sections = [
+        Section(scene, _rows(results, measure, metric, scene, warnings))
+        for scene in results.scenes(measure)
+    ]
+    if len(sections) == 1:
+        caption += f" Scene: {sections[0].title}."
+        sections = [replace(sections[0], title="")]
+    rounds = results.counts(measure, "seconds")
+    batches = results.counts(measure, "batch_variance")
+    counts = (
+        f"{rounds} interleaved rounds" if rounds and timed else "",
+        f"{batches} independent renders" if batches else "",
+    )
+    said = circumstances(results, measure, *counts, timed=timed)
+    return Table(
+        name=name,
+        title=title,
+        caption=f"{caption.format(baseline=results.baseline or 'the baseline')} {said}".strip(),
+        corner="material",
+        columns=[method.label for method in results.methods],
+        sections=sections,
+        best="high",
+        legend=[*legend(results), *([_MEAN_LEGEND] * (len(results.materials) > 1))],
+    )
+
+
+def _rows(
+    results: Results,
+    measure: str,
+    metric: str,
+    scene: str,
+    warnings: Callable[[str, str, str], str],
+) -> list[Row]:
+    def number(material: str, method: MethodColumn) -> Estimate | str:
+        if measure == "equal-time":
+            found = results.number(measure, metric, material, method.label, scene)
+        else:
+            found = _variance_ratio(results, material, method.label, scene)
+        if method.label == results.baseline and isinstance(found, Estimate):
+            return Estimate(1.0, 1.0, 1.0)
+        return found
+
+    rows = material_rows(
+        results,
+        number,
+        "high",
+        geometric_mean,
+        "geometric mean",
+        suffix="×",
+        warning=lambda material, method: warnings(material, method.label, scene),
+    )
+    return [_with_baseline(row, results) for row in rows]
+
+
+def _variance_ratio(results: Results, material: str, method: str, scene: str) -> Estimate | str:
+    """Variance of the baseline over the method's, taken as independent."""
+    pair = [
+        results.number("equal-spp", "variance", material, label, scene)
+        for label in (results.baseline, method)
+    ]
+    for number in pair:
+        if isinstance(number, str):
+            return number
+    return ratio(*pair)
+
+
+def _with_baseline(row: Row, results: Results) -> Row:
+    """The baseline's own entry is 1 by definition and is written so."""
+    cells = list(row.cells)
+    for i, method in enumerate(results.methods):
+        if method.label == results.baseline and not cells[i].missing:
+            plain = as_baseline("1×", method)
+            cells[i] = replace(plain, bold=cells[i].bold, warning=cells[i].warning)
+    return replace(row, cells=cells)

@@ -1,0 +1,58 @@
+"""The trials that gave no number, and why."""
+
+from __future__ import annotations
+
+from harness.report.results import Results
+from harness.report.table import Cell, Row, Section, Table
+from harness.store import NOT_RUN
+
+_COLUMNS = ("method", "measure", "status", "reason")
+
+
+def status(results: Results) -> Table | str:
+    """A row for each failure of a method; what failed alike shares one."""
+    failed = results.frame[results.frame["status"] != "ok"].drop_duplicates("trial")
+    # An interrupted run leaves hundreds of these; their number says it all.
+    waiting = (failed["status"] == "skipped") & (failed["reason"] == NOT_RUN)
+    alike: dict[tuple[str, str, str], list[dict]] = {}
+    for row in failed[~waiting].to_dict("records"):
+        reason = " ".join(str(row["reason"]).split()) or "no reason stored"
+        alike.setdefault((row["method"], row["status"], reason), []).append(row)
+    rows = []
+    for (method, state, reason), members in alike.items():
+        words = (method, _places(members, results), state, reason)
+        rows.append(Row(_materials(members, results), [Cell(text=word) for word in words]))
+    trials = results.frame["trial"].nunique()
+    counts = failed.loc[~waiting, "status"].value_counts().to_dict()
+    said = [f"{trials} trials planned", f"{trials - len(failed)} ok"]
+    said += [f"{count} {name}" for name, count in counts.items()]
+    if waiting.any():
+        said.append(f"{waiting.sum()} {NOT_RUN}")
+    return Table(
+        name="status",
+        title="Trials without a number" if len(failed) else "All trials gave their numbers",
+        caption=f"{', '.join(said)}.",
+        corner="material",
+        columns=list(_COLUMNS),
+        sections=[Section("", rows)] if rows else [],
+        text_columns=True,
+    )
+
+
+def _materials(rows: list[dict], results: Results) -> str:
+    names = list(dict.fromkeys(row["material"] for row in rows))
+    if len(names) == len(results.materials) > 2:
+        return f"all {len(names)}"
+    return ", ".join(names)
+
+
+def _places(rows: list[dict], results: Results) -> str:
+    """The measures that failed, with scene and seed where there are several of those."""
+    several_scenes = results.frame["scene"].nunique() > 2  # "" is one of them
+    several_seeds = results.frame["seed"].nunique() > 1
+    places = []
+    for row in rows:
+        where = [row["scene"]] if several_scenes and row["scene"] else []
+        where += [f"seed {row['seed']}"] if several_seeds else []
+        places.append(row["measure"] + (f" ({', '.join(where)})" if where else ""))
+    return ", ".join(dict.fromkeys(places))

@@ -1,0 +1,97 @@
+"""Writes a results folder's report, and prints its tables."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+from rich.console import Console
+
+from harness.protocol import InputError, nearest
+from harness.report.formats.console import print_table
+from harness.report.formats.csv import csv
+from harness.report.formats.latex import latex
+from harness.report.formats.markdown import markdown
+from harness.report.results import Results
+from harness.report.table import Table
+from harness.report.tables import TABLES
+
+_LIST = "files.txt"
+_FORMATS = {"md": markdown, "csv": csv, "tex": latex}
+
+
+def write(folder: Path, notify: Callable[[str], None]) -> list[Path]:
+    """All of ``report/``. Files of an earlier report that are no longer made are removed."""
+    # Figures take matplotlib, which printing tables does not.
+    from harness.report.figures import FIGURES, Canvas
+    from harness.report.page import Page, page
+
+    results = Results.load(folder)
+    figure_names = _names(results, "figures", FIGURES)
+    tables, skipped = _tables(results)
+    report = folder / "report"
+    report.mkdir(exist_ok=True)
+    written = []
+    for table in tables:
+        for end, form in _FORMATS.items():
+            written.append(report / f"{table.name}.{end}")
+            written[-1].write_text(form(table), encoding="utf-8")
+    canvas = Canvas(report / "figures")
+    for name in figure_names:
+        notify(f"figure {name}")
+        drawn = FIGURES[name](results, canvas)
+        if isinstance(drawn, str):
+            skipped.append(f"figure {name}: {drawn}")
+    written += [path for figure in canvas.drawn for path in figure.files]
+    index = report / "index.html"
+    index.write_text(page(Page(results, tables, canvas.drawn, skipped)), encoding="utf-8")
+    written.insert(0, index)
+    for message in skipped:
+        notify(f"left out: {message}")
+    _forget_old(report, written)
+    return written
+
+
+def print_all(folder: Path, console: Console) -> None:
+    """The suite's tables, and whatever failed, whether the suite asks for it or not."""
+    results = Results.load(folder)
+    tables, skipped = _tables(results)
+    said: set[str] = set()
+    for table in tables:
+        print_table(table, console, said)
+    for message in skipped:
+        console.print(f"left out: {message}", style="dim", markup=False)
+
+
+def _tables(results: Results) -> tuple[list[Table], list[str]]:
+    """The tables wanted, and why others are left out. The status is always there."""
+    tables, skipped = [], []
+    names = _names(results, "tables", TABLES)
+    for name in [*(n for n in names if n != "status"), "status"]:
+        table = TABLES[name](results)
+        if isinstance(table, str):
+            skipped.append(f"table {name}: {table}")
+        else:
+            tables.append(table)
+    return tables, skipped
+
+
+def _names(results: Results, kind: str, known: dict) -> list[str]:
+    """Names the suite asks for; all known ones if it does not say."""
+    wanted = results.wanted(kind)
+    for name in wanted or ():
+        if name not in known:
+            raise InputError(f"report.{kind}: no such one: '{name}'{nearest(name, known)}")
+    return list(known) if wanted is None else wanted
+
+
+def _forget_old(report: Path, written: list[Path]) -> None:
+    """Remove what an earlier report listed and this one did not make: it would be stale."""
+    listed = report / _LIST
+    now = [path.relative_to(report).as_posix() for path in written]
+    before = listed.read_text(encoding="utf-8").splitlines() if listed.is_file() else []
+    for name in set(before) - set(now):
+        path = (report / name).resolve()
+        if path.is_relative_to(report.resolve()):
+            path.unlink(missing_ok=True)
+    listed.write_text("\n".join(now) + "\n", encoding="utf-8")

@@ -1,0 +1,198 @@
+r"""Estimates of positive quantities on a log scale, that add up to products and ratios.
+
+Variances and times are positive, skewed, and compared as ratios. On the log scale a ratio
+of independent quantities is a difference, whose standard errors add in squares:
+
+.. math:: \theta = \log\bar a - \log\bar b, \qquad
+          s^2 = \frac{s_a^2}{n_a \bar a^2} + \frac{s_b^2}{n_b \bar b^2} .
+
+The interval is the *symmetric studentised bootstrap*: resample the batches, form
+:math:`t^* = |\theta^* - \theta| / s^*`, and take :math:`\theta \pm q\,s` with q the
+level's quantile of :math:`t^*` (Hall, 1988, On symmetric bootstrap confidence intervals).
+The percentile bootstrap covers only 90-92 % at 8 to 12 batches where 95 % is claimed; this
+one covers 94-96 %, for skewed batches too (``tests/test_stats.py``
+measures it).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy import stats
+
+RESAMPLES = 4000
+FEWEST = 5
+"""Fewest values to resample. Below, resamples repeat one value too often (t* = x/0)."""
+
+Seed = int | np.random.Generator
+
+
+@dataclass(frozen=True)
+class LogEstimate:
+    """The logarithm of a quantity, its standard error, and bootstrap replicates of both.
+
+    ``replicates`` [R] and ``replicate_errors`` [R] are empty where there are too few values to
+    resample; the interval is then Student's, with ``dof`` degrees of freedom.
+    """
+
+    theta: float
+    error: float
+    dof: float
+    replicates: NDArray
+    replicate_errors: NDArray
+
+    @property
+    def value(self) -> float:
+        """The quantity itself."""
+        return float(np.exp(self.theta))
+
+    def __neg__(self) -> LogEstimate:
+        """The reciprocal quantity."""
+        return LogEstimate(
+            -self.theta, self.error, self.dof, -self.replicates, self.replicate_errors
+        )
+
+    def __add__(self, other: LogEstimate) -> LogEstimate:
+        """The product of two independent quantities."""
+        both = bool(len(self.replicates) and len(other.replicates))
+        return LogEstimate(
+            self.theta + other.theta,
+            float(np.hypot(self.error, other.error)),
+            _satterthwaite(self, other),
+            self.replicates + other.replicates if both else np.empty(0),
+            np.hypot(self.replicate_errors, other.replicate_errors) if both else np.empty(0),
+        )
+
+    def __sub__(self, other: LogEstimate) -> LogEstimate:
+        """The ratio of two independent quantities."""
+        return self + (-other)
+
+    def scaled(self, factor: float) -> LogEstimate:
+        """The quantity to the power of ``factor``."""
+        return LogEstimate(
+            self.theta * factor,
+            self.error * abs(factor),
+            self.dof,
+            self.replicates * factor,
+            self.replicate_errors * abs(factor),
+        )
+
+    def half_width(self, level: float) -> float:
+        """Half the width of the interval of theta."""
+        if self.error == 0:
+            return 0.0
+        if not len(self.replicates):
+            if not self.dof > 0:
+                return float("nan")
+            return float(stats.t.ppf((1 + level) / 2, self.dof)) * self.error
+        off = np.abs(self.replicates - self.theta)
+        # A resample of one repeated value has no spread: t* is infinite, or 0/0 where it
+        # also hits theta itself; that one deviates by nothing.
+        with np.errstate(divide="ignore"):
+            t = np.divide(off, self.replicate_errors, out=np.zeros_like(off), where=off > 0)
+        return float(np.quantile(t, level, method="higher")) * self.error
+
+
+def log_mean(x: ArrayLike, seed: Seed = 0) -> LogEstimate:
+    """Log of the mean of positive, independent values [B]."""
+    x = positive(x)
+    n = len(x)
+    theta, error = _log_mean_and_error(x)
+    if n < FEWEST:
+        return LogEstimate(float(theta), float(error), n - 1, np.empty(0), np.empty(0))
+    replicates, errors = _resampled(lambda rows: _log_mean_and_error(x[rows]), n, seed)
+    return LogEstimate(float(theta), float(error), n - 1, replicates, errors)
+
+
+def log_paired_ratio_of_means(a: ArrayLike, b: ArrayLike, seed: Seed = 0) -> LogEstimate:
+    """Log of ``mean(a) / mean(b)`` where ``a[i]`` and ``b[i]`` belong together (rounds).
+
+    The linearised error is that of ``a/mean(a) - b/mean(b)``, so what hits both alike cancels.
+    """
+    a, b = positive(a), positive(b)
+    n = _same_length(a, b)
+    theta, error = _paired(a, b)
+    if n < FEWEST:
+        return LogEstimate(float(theta), float(error), n - 1, np.empty(0), np.empty(0))
+    replicates, errors = _resampled(lambda rows: _paired(a[rows], b[rows]), n, seed)
+    return LogEstimate(float(theta), float(error), n - 1, replicates, errors)
+
+
+def log_ratio_of_medians(a: ArrayLike, b: ArrayLike, seed: Seed = 0) -> LogEstimate:
+    """Log of the median of ``a[i] / b[i]``: two times of one round, over rounds.
+
+    The error is the bootstrap's own spread; a median has no plug-in error that survives the
+    ties of a resample, so the replicates carry the constant one.
+    """
+    a, b = positive(a), positive(b)
+    n = _same_length(a, b)
+    logs = np.log(a) - np.log(b)
+    theta = float(np.median(logs))
+    if n < FEWEST:
+        # Asymptotic error of a normal median, from too few values for anything better.
+        error = float(np.std(logs, ddof=1) * np.sqrt(np.pi / 2 / n)) if n > 1 else float("nan")
+        return LogEstimate(theta, error, n - 1, np.empty(0), np.empty(0))
+    (replicates,) = _resampled(lambda rows: (np.median(logs[rows], axis=-1),), n, seed)
+    # A bootstrap deviation is short by (n-1)/n, and Student's tail replaces the normal one.
+    student = stats.t.ppf(0.975, n - 1) / stats.norm.ppf(0.975)
+    error = float(np.std(replicates)) * np.sqrt(n / (n - 1)) * student
+    spread = np.full(RESAMPLES, np.std(replicates))
+    return LogEstimate(theta, float(error), n - 1, replicates, spread)
+
+
+def positive(x: ArrayLike) -> NDArray:
+    """``x`` [B] in double precision.
+
+    Raises:
+        ValueError: empty, not finite, or not above zero.
+    """
+    x = np.asarray(x, float).ravel()
+    if not len(x):
+        raise ValueError("no values")
+    if not (np.isfinite(x).all() and (x > 0).all()):
+        bad = x[~(np.isfinite(x) & (x > 0))][0]
+        raise ValueError(f"a log-scale interval needs finite values above zero, got {bad:g}")
+    return x
+
+
+def _resampled(
+    statistic: Callable[[NDArray], tuple[NDArray, ...]], n: int, seed: Seed
+) -> list[NDArray]:
+    """``statistic`` of row numbers [r, n] drawn with replacement, in chunks that fit in memory."""
+    rng = np.random.default_rng(seed)
+    chunk = max(1, 2**20 // n)
+    sizes = [min(chunk, RESAMPLES - done) for done in range(0, RESAMPLES, chunk)]
+    parts = [statistic(rng.integers(n, size=(size, n))) for size in sizes]
+    return [np.concatenate(column) for column in zip(*parts, strict=True)]
+
+
+def _same_length(a: NDArray, b: NDArray) -> int:
+    if len(a) != len(b):
+        raise ValueError(f"paired values must be equally many, got {len(a)} and {len(b)}")
+    return len(a)
+
+
+def _log_mean_and_error(x: NDArray) -> tuple[NDArray, NDArray]:
+    n = x.shape[-1]
+    mean = x.mean(-1)
+    spread = x.std(-1, ddof=1) if n > 1 else np.full(np.shape(mean), np.nan)
+    return np.log(mean), spread / mean / np.sqrt(n)
+
+
+def _paired(a: NDArray, b: NDArray) -> tuple[NDArray, NDArray]:
+    n = a.shape[-1]
+    mean_a, mean_b = a.mean(-1), b.mean(-1)
+    deviation = a / mean_a[..., None] - b / mean_b[..., None]
+    spread = deviation.std(-1, ddof=1) if n > 1 else np.full(np.shape(mean_a), np.nan)
+    return np.log(mean_a) - np.log(mean_b), spread / np.sqrt(n)
+
+
+def _satterthwaite(a: LogEstimate, b: LogEstimate) -> float:
+    if a.error == 0 and b.error == 0:
+        return min(a.dof, b.dof)
+    total = a.error**2 + b.error**2
+    parts = [e.error**4 / e.dof for e in (a, b) if e.error > 0 and e.dof > 0]
+    return total**2 / sum(parts) if parts else float("nan")
