@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
 
 import torch
 from torch import Tensor, nn
@@ -32,14 +31,15 @@ class FanBaseline(LobeMethod):
     """
 
     name = "fan-baseline"
-    learning_rate: ClassVar[float] = 2e-3
 
     def __init__(self, width: int = 32, layers: int = 3):
         self.width, self.layers = width, layers
 
     def build(self, material: Material) -> nn.Module:
         """Outputs: log sigma, and the logits of the two weights."""
-        return ConditionalMLP(material, [self.width] * self.layers, 3)
+        net = ConditionalMLP(material, [self.width] * self.layers, 3)
+        lobes.start_narrow(net.mlp.layers[-1], slice(0, 1))
+        return net
 
     def lobes(self, condition: Tensor) -> lobes.Lobes:
         """See :meth:`LobeMethod.lobes`."""

@@ -27,7 +27,9 @@ class ImprovedBaseline(LobeMethod):
 
     def build(self, material: Material) -> nn.Module:
         """Outputs: mean x, mean y, log sigma, and the logits of the two weights."""
-        return ConditionalMLP(material, [self.width] * self.layers, 5)
+        net = ConditionalMLP(material, [self.width] * self.layers, 5)
+        lobes.start_narrow(net.mlp.layers[-1], slice(2, 3))
+        return net
 
     def lobes(self, condition: Tensor) -> lobes.Lobes:
         """See :meth:`LobeMethod.lobes`."""

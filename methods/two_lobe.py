@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
 
 import torch
 from torch import Tensor, nn
@@ -30,14 +29,15 @@ class TwoLobe(LobeMethod):
     """
 
     name = "two-lobe"
-    learning_rate: ClassVar[float] = 6e-3
 
     def __init__(self, width: int = 32, layers: int = 1):
         self.width, self.layers = width, layers
 
     def build(self, material: Material) -> nn.Module:
         """Outputs: mean (x, y) of both lobes, log sigma (x, y) of both, three logits."""
-        return ConditionalMLP(material, [self.width] * self.layers, 11)
+        net = ConditionalMLP(material, [self.width] * self.layers, 11)
+        lobes.start_narrow(net.mlp.layers[-1], slice(4, 8))
+        return net
 
     def lobes(self, condition: Tensor) -> lobes.Lobes:
         """See :meth:`LobeMethod.lobes`."""

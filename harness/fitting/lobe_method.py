@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
+from typing import ClassVar
 
 from torch import Tensor
 
@@ -17,6 +18,8 @@ class LobeMethod(ModuleMethod, ColumnMethod):
     Fitted by maximum likelihood. A subclass reads the module's outputs as lobes, once in
     torch and once over columns. Uses three uniforms.
     """
+
+    learning_rate: ClassVar[float] = 5e-3
 
     @abstractmethod
     def lobes(self, condition: Tensor) -> lobes.Lobes:

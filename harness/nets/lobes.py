@@ -14,12 +14,13 @@ from typing import NamedTuple
 
 import drjit as dr
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from harness.columns.bridge import Columns, Float
 
 LOG_2PI = math.log(2 * math.pi)
 _LOG_SIGMA_RANGE = 10.0
+_START = -1.0
 
 
 class Lobes(NamedTuple):
@@ -45,6 +46,16 @@ def log_sigma(raw: Tensor) -> Tensor:
     2e4 for any input, where single precision still squares it.
     """
     return _LOG_SIGMA_RANGE * torch.tanh(raw / _LOG_SIGMA_RANGE)
+
+
+def start_narrow(last: nn.Linear, outputs: slice) -> None:
+    """Have the given outputs of a network's last layer start as log sigmas around -1.
+
+    A lobe that starts as wide as the disk loses to the Lambertian one at once, and its
+    weight vanishes before it has narrowed on anything.
+    """
+    with torch.no_grad():
+        last.bias[outputs] = _START
 
 
 def log_sigma_columns(raw: Float) -> Float:
