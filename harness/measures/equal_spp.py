@@ -42,13 +42,14 @@ class EqualSpp(Measure):
     def _one(self, job: Job, settings: Settings, notify: Callable[[str], None]) -> Outcome:
         prepared = prepare(job.scene, job.material, job.method, settings.resolution)
         mask = prepared.mask
-        passes, spent, spp = [], 0.0, settings.spp
+        notify(f"{job.method.name}: warm-up")
+        checked(prepared.render(2, job.seed + 98), job)
+        once = checked(prepared.render(2, job.seed + 99), job)
+        # A slow method takes fewer samples a batch, rather than fewer batches.
+        affordable = settings.max_seconds / settings.batches / (once.seconds / 2)
+        spp = int(min(settings.spp, max(4, affordable)))
+        passes, spent = [], 0.0
         for batch in range(settings.batches):
-            if batch == 0:
-                # A slow method takes fewer samples a batch, rather than fewer batches.
-                trial = checked(prepared.render(2, job.seed + 99), job)
-                share = settings.max_seconds / settings.batches * 2 / trial.seconds
-                spp = int(min(settings.spp, max(4, share)))
             notify(f"{job.method.name}: batch {batch + 1} of {settings.batches} at {spp} spp")
             passes.append(checked(prepared.render(spp, 1000 * (job.seed + 1) + batch), job))
             spent += passes[-1].seconds

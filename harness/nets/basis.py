@@ -22,9 +22,7 @@ class BasisHistograms(nn.Module):
     where nothing was seen, and p > 0 is owed wherever f > 0.
     """
 
-    def __init__(
-        self, count: int, width: int, layers: int, uniform: float, frequencies: int = 4
-    ):
+    def __init__(self, count: int, width: int, layers: int, uniform: float, frequencies: int = 4):
         super().__init__()
         self.count, self.uniform, self.frequencies = count, uniform, frequencies
         inputs = 3 * (1 + 2 * frequencies)
@@ -39,9 +37,7 @@ class BasisHistograms(nn.Module):
             torch.cat([xy.expand(levels, -1, -1), code[:, None].expand(-1, points, -1)], -1)
         )
         # softplus(x) is exp(x) to seven digits below -15, where its logarithm would be lost.
-        return torch.where(
-            raw < -15, raw, nn.functional.softplus(raw.clamp(min=-15)).log()
-        )
+        return torch.where(raw < -15, raw, nn.functional.softplus(raw.clamp(min=-15)).log())
 
     def density(self, squares: Squares, t: Tensor) -> Tensor:
         """Densities [L, M, K] of the cells or tents, integrating to one over the disk."""
