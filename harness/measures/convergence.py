@@ -44,14 +44,14 @@ class Convergence(Measure):
         truth = reference(jobs[0], settings.resolution, settings.reference_spp)
         prepared = [prepare(j.scene, j.material, j.method, settings.resolution) for j in jobs]
         found: list[list[tuple[int, float, list[float]]]] = [[] for _ in jobs]
-        for p in prepared:
-            p.render(1, seed=0)
         for level in range(settings.levels):
             spp = 2**level
             notify(f"convergence at {spp} spp, {len(jobs)} methods")
             for j, job in enumerate(jobs):
                 if found[j] and 2 * found[j][-1][1] * settings.repeats > settings.max_seconds:
                     continue
+                # Unmeasured, for the first render of a size allocates and may compile.
+                prepared[j].render(spp, seed=level)
                 mask = prepared[j].mask
                 noise = truth.variance[mask].mean() / truth.spp
                 errors, seconds = [], []
