@@ -211,7 +211,12 @@ def test_twins_agree(name, kind, fitted):
     with torch.no_grad():
         fit = method.log_prob(condition, wo.expand(64, -1, -1)).exp()
     use = method.pdf(condition.repeat_interleave(64, 0), wo.repeat(64, 1)).view(64, 64)
-    torch.testing.assert_close(use, fit, rtol=1e-4, atol=1e-5)
+    if name.startswith("histogram"):
+        # A step density: a point within rounding of an edge may fall in either cell.
+        apart = ~torch.isclose(use, fit, rtol=1e-4, atol=1e-5)
+        assert apart.double().mean() < 2e-3
+    else:
+        torch.testing.assert_close(use, fit, rtol=1e-4, atol=1e-5)
 
 
 @each

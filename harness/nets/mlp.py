@@ -54,7 +54,8 @@ class MLP(nn.Module):
         for i, (w, b) in enumerate(zip(weights, biases, strict=True)):
             v = drjit.nn.matvec(w, v, b)
             if i < len(weights) - 1:
-                v = dr.maximum(v, self.slope * v if self.slope else 0)
+                # Not max(v, 0), which would turn nan into 0.
+                v = dr.maximum(v, self.slope * v)
         return list(v)
 
     def _columns_scalar(self, x: Columns) -> Columns:
