@@ -72,7 +72,7 @@ class Mixture(nn.Module):
 
 
 class HistogramMixture(ModuleMethod, ColumnMethod):
-    r"""Equations 5 to 7 of Xu et al. (2023), NeuSample:
+    r"""Ten shared histograms, weighted and turned: eqs. 5-7 of Xu et al. (2023), NeuSample.
 
     .. math:: p(\omega) = \sum_{k=1}^K w_k\, H_k(\omega \mid \omega_k, t_k), \qquad
               \omega_k = R(\omega_i, \phi_k)

@@ -35,13 +35,13 @@ class SplineFlow(nn.Module):
 
 
 class NeuralSplineFlow(ModuleMethod, ColumnMethod):
-    r"""Equations 3 and 4 of Xu et al. (2023), NeuSample, with splines of Durkan et al. (2019).
+    r"""Two rational-quadratic spline couplings: eqs. 3-4 of Xu et al. (2023), NeuSample.
 
     .. math:: x' = f(x \mid y), \quad y' = g(y \mid x'), \qquad
               p(\omega) = \mathcal{N}(x', y';\,\mu, \sigma)\,
               \frac{\partial f}{\partial x}\,\frac{\partial g}{\partial y}
 
-    f and g are monotonic rational-quadratic splines of K = 20 bins on [-1, 1] with the
+    f and g are rational-quadratic splines (Durkan et al. 2019) of K = 20 bins on [-1, 1] with the
     identity beyond (:mod:`harness.nets.spline`), their 59 numbers given by networks
     39-32-32-59 of the other coordinate (encoded with four frequencies) and the encoded
     condition. A network 30-32-4 of the condition gives the diagonal Gaussian's mean and log

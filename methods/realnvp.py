@@ -26,7 +26,7 @@ class AffineFlow(nn.Module):
 
 
 class RealNVP(ModuleMethod, ColumnMethod):
-    r"""Xie et al. (2019), after Dinh et al. (2016), as compared with in NeuSample.
+    r"""Two affine couplings: Xie et al. (2019), after Dinh et al. (2016).
 
     .. math:: x' = x\,e^{s(y)} + t(y), \quad y' = y\,e^{s'(x')} + t'(x'), \quad
               p(\omega) = \mathcal{N}(x', y')\,e^{s(y) + s'(x')}

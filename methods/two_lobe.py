@@ -12,7 +12,7 @@ from harness.protocol import Material
 
 
 class TwoLobe(LobeMethod):
-    r"""Equation 2 of Xu et al. (2023), NeuSample:
+    r"""A Lambertian and two axis-aligned Gaussian lobes: eq. 2 of Xu et al. (2023), NeuSample.
 
     .. math:: p(\omega) = w_1\,\tfrac{1}{\pi} + w_2\,G_d(\omega; \mu_1, \sigma_1)
               + w_3\,G_d(\omega; \mu_2, \sigma_2)

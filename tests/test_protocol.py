@@ -77,11 +77,14 @@ def test_jacobian_is_pi():
     u = u[((a - b).abs() > 1e-4) & (a > 1e-4) & (b > 1e-4)]
     h = 1e-7
     along = [
-        (square_to_disk(u + h * torch.eye(2)[i]) - square_to_disk(u - h * torch.eye(2)[i])) / (2 * h)
+        (square_to_disk(u + h * torch.eye(2)[i]) - square_to_disk(u - h * torch.eye(2)[i]))
+        / (2 * h)
         for i in (0, 1)
     ]
     determinant = along[0][:, 0] * along[1][:, 1] - along[0][:, 1] * along[1][:, 0]
-    torch.testing.assert_close(determinant.abs(), torch.full_like(determinant, math.pi), rtol=1e-5, atol=0)
+    torch.testing.assert_close(
+        determinant.abs(), torch.full_like(determinant, math.pi), rtol=1e-5, atol=0
+    )
 
 
 @each_example
@@ -112,7 +115,10 @@ def test_whole_edge_stays_inside():
     """Rounding of sine and cosine puts no point of the edge on the rim."""
     t = torch.rand(200_000, generator=torch.Generator().manual_seed(2))
     for edge in (0.0, TOP):
-        for u in (torch.stack([torch.full_like(t, edge), t], -1), torch.stack([t, torch.full_like(t, edge)], -1)):
+        for u in (
+            torch.stack([torch.full_like(t, edge), t], -1),
+            torch.stack([t, torch.full_like(t, edge)], -1),
+        ):
             assert inside_disk(square_to_disk(u)).all()
 
 

@@ -47,7 +47,7 @@ class EqualSpp(Measure):
         once = checked(prepared.render(2, job.seed + 99), job)
         # A slow method takes fewer samples a batch, rather than fewer batches.
         affordable = settings.max_seconds / settings.batches / (once.seconds / 2)
-        spp = int(min(settings.spp, max(4, affordable)))
+        spp = int(min(settings.spp, max(2, affordable)))
         passes, spent = [], 0.0
         for batch in range(settings.batches):
             notify(f"{job.method.name}: batch {batch + 1} of {settings.batches} at {spp} spp")

@@ -37,7 +37,7 @@ class MLP(nn.Module):
         if zero_last:
             nn.init.zeros_(self.layers[-1].weight)
             nn.init.zeros_(self.layers[-1].bias)
-        self._packed: tuple[tuple, list, list] | None = None
+        self._packed: tuple[bytes, list, list] | None = None
 
     def forward(self, x: Tensor) -> Tensor:
         """[..., widths[0]] -> [..., widths[-1]]."""
@@ -76,15 +76,16 @@ class MLP(nn.Module):
         return x
 
     def _pack(self, array: type[Float]) -> tuple[list, list]:
-        """Weights as packed matrix views, made again whenever a parameter was written to."""
-        version = tuple((p.data_ptr(), p._version) for p in self.parameters())
-        if self._packed is None or self._packed[0] != version:
+        """Weights as packed matrix views, made again whenever a parameter has changed."""
+        numbers = [p.detach().float().cpu().numpy() for p in self.parameters()]
+        # By content: torch's version counter misses the writes of fused optimisers.
+        content = b"".join(a.tobytes() for a in numbers)
+        if self._packed is None or self._packed[0] != content:
             tensor = dr.tensor_t(array)
-            numbers = [p.detach().float().cpu().numpy() for p in self.parameters()]
             weights = [tensor(np.ascontiguousarray(w)) for w in numbers[0::2]]
             biases = [array(b) for b in numbers[1::2]]
             packed = drjit.nn.pack(*weights, *biases, layout="inference")
-            self._packed = (version, packed[: len(weights)], packed[len(weights) :])
+            self._packed = (content, packed[: len(weights)], packed[len(weights) :])
         return self._packed[1], self._packed[2]
 
     def __deepcopy__(self, memo: dict) -> MLP:

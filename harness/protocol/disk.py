@@ -58,8 +58,8 @@ def square_to_disk(u: Tensor) -> Tensor:
 
     Its Jacobian is the constant pi, so a uniform square gives the uniform disk of
     density 1/pi. Radii are shrunk by four units in the last place, so that rounding puts no
-    point on the rim, which is no direction of the open hemisphere. After Shirley and Chiu (1997), A Low Distortion Map Between Disk and
-    Square.
+    point on the rim, which is no direction of the open hemisphere. After Shirley and Chiu
+    (1997), A Low Distortion Map Between Disk and Square.
     """
     a, b = (2 * u - 1).unbind(-1)
     wide = a.abs() > b.abs()
@@ -77,7 +77,8 @@ def disk_to_square(wo: Tensor) -> Tensor:
     radius = torch.hypot(x, y)
     phi = torch.atan2(y, x)
     phi = torch.where(phi < -math.pi / 4, phi + 2 * math.pi, phi)
-    quadrant = torch.floor((phi + math.pi / 4) / (math.pi / 2)).long().clamp(0, 3)
+    # Kept in the dtype of wo: an integer tensor times a number would be single precision.
+    quadrant = torch.floor((phi + math.pi / 4) / (math.pi / 2)).clamp(0, 3)
     local = (phi - quadrant * (math.pi / 2)) * radius * (4 / math.pi)
     a = torch.where(quadrant == 0, radius, torch.where(quadrant == 2, -radius, -local))
     b = torch.where(quadrant == 1, radius, torch.where(quadrant == 3, -radius, local))

@@ -55,6 +55,9 @@ def render(
 
     Split into passes of at most :data:`LANES` rays; pass k of seed s draws from its own
     stream, so renders of different seeds are independent. Finished when it returns.
+
+    Raises:
+        KeyboardInterrupt: the user interrupted the render.
     """
     film = scene.sensors()[0].film().size()
     size = min(spp, max(1, LANES // int(film[0] * film[1])))
@@ -64,10 +67,14 @@ def render(
         for k, first in enumerate(range(0, spp, size)):
             count = min(size, spp - first)
             # Mitsuba mixes seed and lane into its streams: any distinct integers will do.
+            # Not mi.render: it wraps an interrupt, among other things, in a RuntimeError.
             stream = (seed * 4099 + k) % (1 << 32)
-            image = mi.render(scene, integrator=integrator, spp=count, seed=stream)
+            image = integrator.render(scene, scene.sensors()[0], seed=stream, spp=count)
             dr.eval(image)
             dr.sync_thread()
+            if integrator.should_stop():
+                # Mitsuba catches the signal while it renders, and returns half an image.
+                raise KeyboardInterrupt
             part = np.asarray(image, dtype=np.float64) * count
             total = part if total is None else total + part
     seconds = time.perf_counter() - start

@@ -22,7 +22,7 @@ class SampledBSDF(mi.BSDF):
 
     Reflective and one-sided. Mitsuba's value of ``sample`` is f cos / pdf with the pdf per
     solid angle, cos times the method's. A sample off the disk has pdf 0 and value 0; what
-    is not a number stays one, so that a broken method shows in the image.
+    is not a number becomes infinite, so that a broken method shows in the image.
 
     Render it through :mod:`harness.rendering.passes`, which has Mitsuba evaluate BSDF calls
     one material at a time; a method in torch cannot run inside a symbolic call.
@@ -44,18 +44,21 @@ class SampledBSDF(mi.BSDF):
         """A direction from three uniforms, and f cos / pdf."""
         front = mi.Mask(active) & (si.wi.z > 0)
         x, y, pdf = self._draw(si, [sample1, sample2.x, sample2.y], front)
+        broken = front & (dr.isnan(x) | dr.isnan(y) | dr.isnan(pdf))
         cos_squared = 1 - x * x - y * y
-        # Written as "not known to be invalid", so that nan is passed on.
-        valid = front & ~(cos_squared <= 0) & ~(pdf <= 0)
-        cos = dr.sqrt(dr.select(valid, cos_squared, 1))
+        valid = front & (cos_squared > 0) & (pdf > 0)
+        usable = valid | broken
+        # Integrators drop samples whose density or value is nan, and the image would look
+        # fine. Infinity they keep.
+        cos = dr.select(valid, dr.sqrt(cos_squared), 1)
         bs = mi.BSDFSample3f()
-        bs.wo = mi.Vector3f(x, y, cos)
-        bs.pdf = dr.select(valid, pdf * cos, 0)
+        bs.wo = mi.Vector3f(dr.select(valid, x, 0), dr.select(valid, y, 0), cos)
+        bs.pdf = dr.select(valid, pdf * cos, dr.select(usable, 1, 0))
         bs.eta = 1
         bs.sampled_type = mi.UInt32(+mi.BSDFFlags.GlossyReflection)
         bs.sampled_component = mi.UInt32(0)
-        value = self._value(ctx, si, bs.wo, valid)
-        return bs, dr.select(valid, value / bs.pdf, 0)
+        value = dr.select(valid, self._value(ctx, si, bs.wo, valid) / bs.pdf, 0)
+        return bs, dr.select(broken, dr.inf, value)
 
     def eval(self, ctx: Any, si: Any, wo: Any, active: Any = True) -> Any:
         """f cos."""
