@@ -273,7 +273,7 @@ def test_own_eval_is_used():
 def test_mitsubas_own_chi_square(kind):
     """Mitsuba's test of samples against the density, seen through the plugin."""
     method, material = PAIRS[kind]()
-    found = mitsuba_chi2(ready(method, material), material, samples=100_000)
+    found = mitsuba_chi2(ready(method, material), material, samples=200_000)
     assert found and all(f.ok for f in found), [f for f in found if not f.ok]
 
 
@@ -296,22 +296,19 @@ def test_torch_and_columns_give_one_image():
 
 def test_methods_agree_with_mitsuba():
     """Mean images of methods of ours, and of two of Mitsuba's own strategies."""
-    material, light, spp = rough(), scenes.make("studio-sphere"), 256
+    material, light, spp = rough(), scenes.make("studio-sphere"), 512
     all_prepared = [
         prepare(light, material, ready(m, material), 32)
         for m in ("cosine", "native", "improved-baseline", Correct())
     ]
     all_prepared += [prepare_native(light, material, 32, s) for s in ("mis", "bsdf")]
-    for native in all_prepared[-2:]:
-        # A symbolic call would be traced through all BSDFs that exist, those in torch too.
-        native.symbolic = False
     renders = [p.render(spp, seed) for seed, p in enumerate(all_prepared)]
     mask = all_prepared[0].mask
     assert all(np.array_equal(p.mask, mask) for p in all_prepared)
     found = agreement([r.mean for r in renders], [r.variance / spp for r in renders], mask)
     assert min(a.p_value for a in found) > 1e-3 / len(found)
-    # Nor is the test blind: three per cent too bright is seen.
-    biased = [renders[0].mean * 1.03, renders[4].mean]
+    # Nor is the test blind: five per cent too bright is seen.
+    biased = [renders[0].mean * 1.05, renders[4].mean]
     noise = [renders[0].variance / spp, renders[4].variance / spp]
     assert agreement(biased, noise, mask)[0].p_value < 1e-3
 
@@ -419,6 +416,31 @@ def test_nan_is_not_hidden(where):
         checked(done, Job)
     good = prepare(SCENE, material, ready("cosine", material), 16).render(4, 0)
     assert checked(good, Job) is good
+
+
+def test_nan_of_the_reflectance_is_not_hidden():
+    """Nor is one of a method's own ``eval``."""
+
+    class NanValue(UniformDisk):
+        def eval(self, condition: Tensor, wo: Tensor) -> Tensor:
+            value = super().eval(condition, wo)
+            return torch.where(wo[:, :1].abs() < 0.01, math.nan, value)
+
+    material = White()
+    prepared = prepare(SCENE, material, ready(NanValue(), material), 16)
+    assert not np.isfinite(prepared.render(64, 0).rgb[prepared.mask]).all()
+
+
+def test_symbolic_render_beside_a_method_in_torch():
+    """Mitsuba's own mode traces all BSDFs alive; one in torch is not in its way, nor hidden."""
+    material = rough()
+    torch_one = prepare(SCENE, material, ready(UniformDisk(), material), 8)
+    native = prepare_native(SCENE, material, 8)
+    assert native.symbolic and np.isfinite(native.render(8, 0).rgb).all()
+    torch_one.symbolic = True
+    assert not np.isfinite(torch_one.render(8, 0).rgb[torch_one.mask]).any()
+    torch_one.symbolic = False
+    assert np.isfinite(torch_one.render(8, 0).rgb).all()
 
 
 def test_evaluated_mode_restores_flags():

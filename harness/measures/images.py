@@ -24,8 +24,8 @@ def reference(job: Job, resolution: int, spp: int) -> Pass:
     if key not in _references:
         try:
             prepared = prepare_native(job.scene, job.material, resolution)
-            # A symbolic call is traced through every BSDF that exists, and the method under
-            # test, alive in a scene of its own, may be one in torch, which cannot be traced.
+            # A symbolic call would be compiled with every BSDF alive in it, the one under test
+            # included, which is to take no part.
             prepared.symbolic = False
         except Unsupported:
             prepared = prepare(job.scene, job.material, _cosine(job), resolution)

@@ -81,7 +81,9 @@ def render(
     moments = total / spp
     mean = moments[..., 4]
     # E[Y^2] - E[Y]^2 of the sample; n / (n - 1) makes it unbiased. One sample has none.
-    spread = moments[..., 7] - mean**2
+    # Where the image is infinite, inf - inf: its variance is nan, and that is no news.
+    with np.errstate(invalid="ignore"):
+        spread = moments[..., 7] - mean**2
     variance = spread * (spp / (spp - 1)) if spp > 1 else np.full_like(mean, np.nan)
     return Pass(moments[..., :3], mean, variance, spp, seconds)
 

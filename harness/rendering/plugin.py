@@ -42,6 +42,10 @@ class SampledBSDF(mi.BSDF):
 
     def sample(self, ctx: Any, si: Any, sample1: Any, sample2: Any, active: Any = True) -> Any:
         """A direction from three uniforms, and f cos / pdf."""
+        if self._untraceable():
+            bs = dr.zeros(mi.BSDFSample3f)
+            bs.wo, bs.pdf, bs.eta = mi.Vector3f(0, 0, 1), 1, 1
+            return bs, mi.Color3f(dr.inf)
         front = mi.Mask(active) & (si.wi.z > 0)
         x, y, pdf = self._draw(si, [sample1, sample2.x, sample2.y], front)
         broken = front & (dr.isnan(x) | dr.isnan(y) | dr.isnan(pdf))
@@ -58,14 +62,18 @@ class SampledBSDF(mi.BSDF):
         bs.sampled_type = mi.UInt32(+mi.BSDFFlags.GlossyReflection)
         bs.sampled_component = mi.UInt32(0)
         value = dr.select(valid, self._value(ctx, si, bs.wo, valid) / bs.pdf, 0)
-        return bs, dr.select(broken, dr.inf, value)
+        return bs, dr.select(broken | dr.any(dr.isnan(value)), dr.inf, value)
 
     def eval(self, ctx: Any, si: Any, wo: Any, active: Any = True) -> Any:
         """f cos."""
+        if self._untraceable():
+            return mi.Color3f(dr.inf)
         return self._value(ctx, si, wo, self._above(si, wo, active))
 
     def pdf(self, ctx: Any, si: Any, wo: Any, active: Any = True) -> Any:
         """Density per solid angle of :meth:`sample`."""
+        if self._untraceable():
+            return mi.Float(dr.inf)
         above = self._above(si, wo, active)
         return dr.select(above, self._density(si, wo, above) * wo.z, 0)
 
@@ -76,6 +84,15 @@ class SampledBSDF(mi.BSDF):
     def to_string(self) -> str:
         """For Mitsuba's messages."""
         return f"SampledBSDF[{self.material.name}, {self.method.name}]"
+
+    def _untraceable(self) -> bool:
+        """Whether a symbolic call is being traced, for which this pair would have to run torch.
+
+        Dr.Jit traces a call through every BSDF alive, whether or not it is in the scene that
+        is rendered. What is then returned is infinite: no image with it looks fine.
+        """
+        in_dr_jit = self.in_columns and self.nested is not None and not self.own_eval
+        return not in_dr_jit and dr.flag(dr.JitFlag.SymbolicScope)
 
     @staticmethod
     def _above(si: Any, wo: Any, active: Any) -> Any:
