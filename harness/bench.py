@@ -12,7 +12,7 @@ import torch
 
 from harness import registry
 from harness.materials import registry as materials
-from harness.measures.base import Job
+from harness.measures.base import Job, Outcome
 from harness.measures.throughput import Throughput
 from harness.protocol import Budget, Material
 from harness.rendering import variant
@@ -21,6 +21,8 @@ from harness.stats.intervals import median_interval
 
 RESOLUTION, SPP = 128, 16
 """One pass of 262,144 camera rays."""
+LONGEST = 2.0
+"""Seconds that one render may take."""
 
 
 @dataclass
@@ -44,7 +46,7 @@ def run(
 ) -> Rows:
     """Fit briefly, then time ``sample``, ``pdf`` and renders in interleaved rounds."""
     variant.use(device)
-    material = materials.make(material_name or materials.names()[0])
+    material = materials.make(material_name)
     scene = scenes.make(scene_name)
     jobs = []
     for name in names or registry.names():
@@ -57,23 +59,25 @@ def run(
         budget = Budget(steps=steps, pool=256, device=device)
         method.fit(material, budget, torch.Generator().manual_seed(0))
         jobs.append(_job(name, method, material, budget, rounds))
+    native = _native_times(scene, material, rounds, notify)
     timed = Throughput().run(jobs, notify)
-    renders = _render_times(jobs, scene, material, rounds, notify)
+    renders = _render_times(jobs, timed, scene, material, rounds, notify)
     cells = []
-    for job, outcome, seconds in zip(jobs, timed, renders[1:], strict=True):
+    for job, outcome, seconds in zip(jobs, timed, renders, strict=True):
         value = {r.metric: r for r in outcome.records}
         sample, pdf = value["samples-per-second"], value["pdf-queries-per-second"]
+        ratio = f"{np.median(seconds) / np.median(native):.3g}" if len(seconds) else "too slow"
         cells.append(
             [
                 job.trial.name,
                 _millions(sample),
                 _millions(pdf),
                 f"{int(value['batch'].value):,}",
-                _milliseconds(seconds),
-                _ratio(seconds, renders[0]),
+                _milliseconds(seconds) if len(seconds) else "too slow",
+                ratio,
             ]
         )
-    cells.append(["Mitsuba alone", "", "", "", _milliseconds(renders[0]), "1"])
+    cells.append(["Mitsuba alone", "", "", "", _milliseconds(native), "1"])
     return Rows(
         title=f"{material.name} on {device}: medians [95 % interval] of {rounds} rounds",
         caption=(
@@ -107,25 +111,50 @@ def _job(name: str, method, material: Material, budget: Budget, rounds: int) -> 
     )
 
 
-def _render_times(
-    jobs: list[Job], scene, material: Material, rounds: int, notify: Callable[[str], None]
-) -> list[np.ndarray]:
-    """Seconds per spp [rounds], of Mitsuba alone and then of every job."""
-    from harness.rendering.prepared import prepare, prepare_native
+def _native_times(
+    scene, material: Material, rounds: int, notify: Callable[[str], None]
+) -> np.ndarray:
+    """Seconds per spp [rounds] of Mitsuba with the material's own sampler.
 
-    prepared = [prepare_native(scene, material, RESOLUTION, "bsdf")]
-    prepared += [prepare(scene, material, job.method, RESOLUTION) for job in jobs]
-    spp = []
-    for p in prepared:
-        p.render(1, seed=0)
-        # A method that needs seconds for one sample per pixel gets no more than that.
-        spp.append(SPP if p.render(1, seed=1).seconds < 0.2 else 1)
-    for p, count in zip(prepared, spp, strict=True):
-        p.render(count, seed=2)
-    times: list[list[float]] = [[] for _ in prepared]
+    Before any method is built: Mitsuba compiles every BSDF that exists into its kernel.
+    """
+    from harness.rendering.prepared import prepare_native
+
+    notify("rendering with Mitsuba alone")
+    prepared = prepare_native(scene, material, RESOLUTION, "bsdf")
+    for seed in range(3):
+        prepared.render(SPP, seed)
+    return np.array([prepared.render(SPP, 10 + n).seconds / SPP for n in range(rounds)])
+
+
+def _render_times(
+    jobs: list[Job],
+    timed: list[Outcome],
+    scene,
+    material: Material,
+    rounds: int,
+    notify: Callable[[str], None],
+) -> list[np.ndarray]:
+    """Seconds per spp [rounds] of every job, in interleaved rounds.
+
+    Empty for a method that by its throughput would need longer than ``LONGEST`` for one
+    sample in every pixel.
+    """
+    from harness.rendering.prepared import prepare
+
+    prepared, spp = {}, {}
+    for i, (job, outcome) in enumerate(zip(jobs, timed, strict=True)):
+        rate = next(r.value for r in outcome.records if r.metric == "samples-per-second")
+        if RESOLUTION**2 / rate > LONGEST:
+            continue
+        prepared[i] = prepare(scene, material, job.method, RESOLUTION)
+        spp[i] = SPP if RESOLUTION**2 * SPP / rate < LONGEST else 1
+        for seed in range(2):
+            prepared[i].render(spp[i], seed)
+    times: list[list[float]] = [[] for _ in jobs]
     for number in range(rounds):
         notify(f"rendering round {number + 1} of {rounds}")
-        for i, p in enumerate(prepared):
+        for i, p in prepared.items():
             times[i].append(p.render(spp[i], seed=10 + number).seconds / spp[i])
     return [np.array(t) for t in times]
 
@@ -137,10 +166,4 @@ def _millions(record) -> str:
 
 def _milliseconds(seconds: np.ndarray) -> str:
     value, low, high = (v * 1e3 for v in median_interval(seconds))
-    return f"{value:.3g} [{low:.3g}, {high:.3g}]"
-
-
-def _ratio(seconds: np.ndarray, native: np.ndarray) -> str:
-    """Median of the ratios within rounds."""
-    value, low, high = median_interval(seconds / native)
     return f"{value:.3g} [{low:.3g}, {high:.3g}]"

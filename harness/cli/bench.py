@@ -15,7 +15,7 @@ def register(app: typer.Typer) -> None:
         methods: Annotated[
             list[str] | None, typer.Argument(help="Methods to time; all of them by default.")
         ] = None,
-        material: Annotated[str, typer.Option(help="Material to sample.")] = "",
+        material: Annotated[str, typer.Option(help="Material to sample.")] = "hull-panel",
         scene: Annotated[str, typer.Option(help="Scene to render.")] = "uniform-sphere",
         device: Annotated[str, typer.Option(help="cpu or cuda")] = "cpu",
         rounds: Annotated[int, typer.Option(help="Interleaved rounds.")] = 11,

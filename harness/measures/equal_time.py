@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -96,12 +97,7 @@ class EqualTime(Measure):
             Record("spp-achieved", float(spp), unit="1"),
             Record("mse-at-deadline", *error, "radiance^2"),
         ]
-        if runner is base:
-            # By definition, not measurement: the baseline against itself.
-            equal_time = equal_spp = (1.0, 1.0, 1.0)
-        else:
-            equal_time = speed_up(base.variance, runner.variance, base.seconds, runner.seconds)
-            equal_spp = ratio_of_means(base.variance, runner.variance)
+        equal_time, equal_spp = _compare(runner, base)
         records.append(Record("speedup-equal-time", *equal_time, "1"))
         records.append(Record("speedup-equal-spp", *equal_spp, "1"))
         arrays = {
@@ -113,6 +109,23 @@ class EqualTime(Measure):
             "mask": mask,
         }
         return Outcome(records=records, arrays=arrays, images={"equal_time": image})
+
+
+def _compare(runner: _Runner, base: _Runner) -> tuple[Iterable[float], Iterable[float]]:
+    """Speed-up over the baseline at equal time and at equal samples, each with its interval."""
+    if runner is base:
+        # By definition, not measurement: the baseline against itself.
+        return (1.0, 1.0, 1.0), (1.0, 1.0, 1.0)
+    resolved = [bool((r.variance > 0).all()) for r in (base, runner)]
+    if not all(resolved):
+        # An exact sampler has no variance, or one below the moments' rounding: a ratio with
+        # it is infinite or nothing, or without meaning where both are exact.
+        ratio = {(True, False): math.inf, (False, True): 0.0}.get(tuple(resolved), math.nan)
+        return (ratio, math.nan, math.nan), (ratio, math.nan, math.nan)
+    return (
+        speed_up(base.variance, runner.variance, base.seconds, runner.seconds),
+        ratio_of_means(base.variance, runner.variance),
+    )
 
 
 def _warm_up(runner: _Runner, settings: EqualTime.Settings) -> None:

@@ -54,7 +54,7 @@ class Throughput(Measure):
 def _prepare(job: Job, settings: Throughput.Settings) -> tuple[Callable, Callable, int]:
     """Warm ``sample`` and ``pdf`` calls, and how many rows they take."""
     device, method = job.budget.device, job.method
-    rows = min(settings.batch, 256)
+    rows = 1
     while True:
         sample, pdf = _calls(job, method, rows, device)
         seconds = _warm(sample, settings, device)
