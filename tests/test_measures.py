@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import time
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -14,9 +15,18 @@ from torch import Tensor
 
 from harness import registry
 from harness.fitting.targets import cells, tabulate
+from harness.materials import registry as materials
 from harness.measures import registry as measures
 from harness.measures.base import Job, Outcome
-from harness.protocol import Budget, DiskSample, Material, Method, inside_disk, square_to_disk
+from harness.protocol import (
+    Budget,
+    BudgetExceeded,
+    DiskSample,
+    Material,
+    Method,
+    inside_disk,
+    square_to_disk,
+)
 from harness.rendering import variant
 from harness.scenes import registry as scenes
 from tests.fakes import FakeMaterial
@@ -349,6 +359,72 @@ def test_equal_time():
         assert (outcome.arrays["baseline_seconds"] == outcomes[1].arrays["seconds"]).all()
         assert outcome.arrays["mask"].shape == (12, 12)
         assert outcome.arrays["round_spp"] >= 2
+
+
+class Glacial(Uneven):
+    """0.15 s a row, and not to be asked for an image."""
+
+    name = "glacial"
+
+    def sample(self, condition: Tensor, u: Tensor) -> DiskSample:
+        """See :meth:`Method.sample`."""
+        if len(condition) > 1:
+            raise AssertionError("was asked for an image")
+        time.sleep(0.15)
+        return super().sample(condition, u)
+
+
+@pytest.mark.parametrize("name", ["equal-time", "convergence"])
+def test_what_cannot_end_is_not_begun(name):
+    """It becomes a timeout that says how long it would have taken; the others go on."""
+    material = Plaster()
+    given = {"resolution": 12, "patience": 60.0}
+    given |= {"rounds": 3, "slice_seconds": 0.02, "deadline": 0.05} if name == "equal-time" else {}
+    given |= {"levels": 3, "reference_spp": 16, "patience": 1.0} if name == "convergence" else {}
+    jobs = [job(name, Glacial(), material, **given), job(name, Uneven(), material, True, **given)]
+    slow, base = measures.make(name).run(jobs, lambda text: None)
+    assert slow.status == "timeout" and "glacial needs about" in slow.reason
+    assert base.status == "ok" and base.records
+
+
+def test_equal_spp_does_not_begin_what_cannot_end():
+    with pytest.raises(BudgetExceeded, match="needs about"):
+        measured("equal-spp", Glacial(), Plaster(), resolution=12, patience=60.0)
+
+
+def test_a_baseline_that_is_too_slow():
+    given = {"rounds": 3, "resolution": 12, "patience": 1.0}
+    with pytest.raises(BudgetExceeded, match="baseline"):
+        measures.make("equal-time").run(
+            [job("equal-time", Glacial(), Plaster(), True, **given)], lambda text: None
+        )
+
+
+def test_an_exact_sampler_is_infinitely_better():
+    """Uniform sampling of a constant has no variance: no logarithm is taken of it."""
+    material = materials.make(
+        {"name": "flat", "type": "mitsuba", "bsdf": {"type": "diffuse", "reflectance": 0.5}}
+    )
+    given = {"rounds": 4, "slice_seconds": 0.02, "deadline": 0.05, "resolution": 12}
+    exact, uneven = registry.make("cosine"), Uneven(0.4)
+    jobs = [job("equal-time", exact, material, **given)]
+    jobs.append(job("equal-time", uneven, material, True, **given))
+    found = values(measures.make("equal-time").run(jobs, lambda text: None)[0])
+    # Either nothing is left of the variance, or what rounding of the moments leaves.
+    assert found["speedup-equal-time"] == math.inf or found["speedup-equal-spp"] > 1e3
+
+
+@pytest.mark.parametrize(
+    ("base", "method", "ratio"), [(1.0, 0.0, math.inf), (0.0, 1.0, 0.0), (0.0, 0.0, math.nan)]
+)
+def test_speed_up_of_no_variance(base, method, ratio):
+    """Infinite, zero, or without meaning; and no interval."""
+    runners = [SimpleNamespace(variance=np.full(4, v), seconds=[1.0] * 4) for v in (method, base)]
+    from harness.measures.equal_time import _compare
+
+    for value, low, high in _compare(*runners):
+        assert value == ratio or (math.isnan(value) and math.isnan(ratio))
+        assert math.isnan(low) and math.isnan(high)
 
 
 # --- convergence -----------------------------------------------------------------------

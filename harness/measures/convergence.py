@@ -10,7 +10,7 @@ from scipy import stats
 
 from harness.measures.base import Job, Measure, Outcome, Record
 from harness.measures.base import Settings as BaseSettings
-from harness.measures.images import checked, reference
+from harness.measures.images import checked, reference, too_slow
 from harness.rendering.prepared import prepare
 
 
@@ -29,17 +29,31 @@ class Convergence(Measure):
     timed = True
 
     class Settings(BaseSettings):
-        """``levels`` renders: spp = 1, 2, ..., 2^(levels - 1)."""
+        """``levels`` renders: spp = 1, 2, ..., 2^(levels - 1).
+
+        A method that would need more than ``patience`` seconds for the first is not begun.
+        """
 
         levels: int = 8
         repeats: int = 4
         resolution: int = 96
         reference_spp: int = 4096
         max_seconds: float = 5.0
+        patience: float = 3600.0
 
     def run(self, jobs: list[Job], notify: Callable[[str], None]) -> list[Outcome]:
         """See :class:`Measure`."""
         settings = self.Settings(**jobs[0].settings)
+        slow = [too_slow(j, settings.resolution, 1, settings.patience) for j in jobs]
+        fit = [job for job, reason in zip(jobs, slow, strict=True) if not reason]
+        found = iter(self._race(fit, settings, notify))
+        return [Outcome("timeout", reason) if reason else next(found) for reason in slow]
+
+    def _race(
+        self, jobs: list[Job], settings: Settings, notify: Callable[[str], None]
+    ) -> list[Outcome]:
+        if not jobs:
+            return []
         notify(f"{jobs[0].material.name}: reference image")
         truth = reference(jobs[0], settings.resolution, settings.reference_spp)
         prepared = [prepare(j.scene, j.material, j.method, settings.resolution) for j in jobs]

@@ -8,7 +8,8 @@ import numpy as np
 
 from harness.measures.base import Job, Measure, Outcome, Record
 from harness.measures.base import Settings as BaseSettings
-from harness.measures.images import checked, reference
+from harness.measures.images import checked, reference, too_slow
+from harness.protocol import BudgetExceeded
 from harness.rendering.prepared import prepare
 from harness.stats.intervals import mean_interval
 from harness.stats.ztest import agreement
@@ -27,19 +28,26 @@ class EqualSpp(Measure):
     name = "equal-spp"
 
     class Settings(BaseSettings):
-        """``max_seconds`` ends a slow method's batches early, but never before the sixth."""
+        """``max_seconds`` ends a slow method's batches early, but never before the sixth.
+
+        A method that would need more than ``patience`` seconds for six batches of the least
+        two samples per pixel is not begun.
+        """
 
         batches: int = 12
         spp: int = 64
         resolution: int = 96
         reference_spp: int = 4096
         max_seconds: float = 60.0
+        patience: float = 3600.0
 
     def run(self, jobs: list[Job], notify: Callable[[str], None]) -> list[Outcome]:
         """See :class:`Measure`."""
         return [self._one(job, self.Settings(**job.settings), notify) for job in jobs]
 
     def _one(self, job: Job, settings: Settings, notify: Callable[[str], None]) -> Outcome:
+        if reason := too_slow(job, settings.resolution, 2 * 6, settings.patience):
+            raise BudgetExceeded(reason)
         prepared = prepare(job.scene, job.material, job.method, settings.resolution)
         mask = prepared.mask
         notify(f"{job.method.name}: warm-up")

@@ -11,7 +11,8 @@ import numpy as np
 
 from harness.measures.base import Job, Measure, Outcome, Record
 from harness.measures.base import Settings as BaseSettings
-from harness.measures.images import checked
+from harness.measures.images import checked, too_slow
+from harness.protocol import BudgetExceeded
 from harness.rendering.passes import Pass
 from harness.rendering.prepared import Prepared, prepare
 from harness.stats.intervals import mean_interval, median_interval, ratio_of_means, speed_up
@@ -51,7 +52,10 @@ class EqualTime(Measure):
     timed = True
 
     class Settings(BaseSettings):
-        """``slice_seconds`` per method and round."""
+        """``slice_seconds`` per method and round.
+
+        A method that would need more than ``patience`` seconds for its rounds is not begun.
+        """
 
         rounds: int = 12
         slice_seconds: float = 0.2
@@ -59,13 +63,27 @@ class EqualTime(Measure):
         resolution: int = 96
         warm_up: float = 3.0
         stable: float = 0.1
+        patience: float = 3600.0
 
     def run(self, jobs: list[Job], notify: Callable[[str], None]) -> list[Outcome]:
         """See :class:`Measure`."""
         settings = self.Settings(**jobs[0].settings)
+        slow = [
+            too_slow(j, settings.resolution, 2 * settings.rounds, settings.patience) for j in jobs
+        ]
+        fit = [job for job, reason in zip(jobs, slow, strict=True) if not reason]
+        found = iter(self._timed(fit, settings, notify))
+        return [Outcome("timeout", reason) if reason else next(found) for reason in slow]
+
+    def _timed(
+        self, jobs: list[Job], settings: Settings, notify: Callable[[str], None]
+    ) -> list[Outcome]:
         runners = [
             _Runner(j, prepare(j.scene, j.material, j.method, settings.resolution)) for j in jobs
         ]
+        base = next((r for r in runners if r.job.baseline), None)
+        if base is None:
+            raise BudgetExceeded("the baseline is too slow for its rounds")
         for runner in runners:
             notify(f"{runner.job.method.name}: warm-up")
             _warm_up(runner, settings)
@@ -77,7 +95,6 @@ class EqualTime(Measure):
                 rendered = checked(runner.prepared.render(runner.spp, seed), runner.job)
                 runner.seconds.append(rendered.seconds / runner.spp)
                 runner.passes.append(rendered)
-        base = next(r for r in runners if r.job.baseline)
         return [self._finish(r, base, settings, notify) for r in runners]
 
     def _finish(

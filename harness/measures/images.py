@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import time
 from typing import Any
 
 import numpy as np
+import torch
 
 from harness.measures.base import Job
 from harness.protocol import Unsupported
@@ -32,6 +34,31 @@ def reference(job: Job, resolution: int, spp: int) -> Pass:
         _references.clear()
         _references[key] = prepared.render(spp, seed=424242)
     return _references[key]
+
+
+def too_slow(job: Job, resolution: int, spp: int, patience: float) -> str:
+    """Why not to begin ``spp`` samples of every pixel, if they cannot end in ``patience`` seconds.
+
+    A brute-force method can need days for an image. Its speed is read off a few samples.
+    """
+    rows = 1
+    while True:
+        condition = job.material.conditions(rows, job.generator, job.budget.device)
+        u = torch.rand(rows, 3, generator=job.generator).to(condition.device)
+        start = time.perf_counter()
+        job.method.sample(condition, u)
+        seconds = time.perf_counter() - start
+        # Short calls are all overhead: only a long one, or a large one, tells the speed.
+        if seconds > 0.1 or rows >= 4096:
+            break
+        rows *= 8
+    needed = seconds / rows * resolution**2 * spp
+    if needed <= patience:
+        return ""
+    return (
+        f"{job.method.name} needs about {needed / 3600:.2g} h for {spp} samples in each of"
+        f" {resolution} x {resolution} pixels; the limit is {patience:g} s"
+    )
 
 
 def checked(rendered: Pass, job: Job) -> Pass:
