@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
+import numpy as np
 import torch
 
 from harness.measures.base import Job, Measure, Outcome, Record
@@ -54,7 +55,8 @@ class Slices(Measure):
             "condition": condition.cpu().numpy(),
         }
         for name, density in (("target", target), ("pdf", pdf)):
-            image = torch.full((settings.count, n, n), math.nan).numpy()
+            # Single precision is plenty for a picture.
+            image = np.full((settings.count, n, n), math.nan, np.float32)
             image[:, column[:, 1], column[:, 0]] = density
             arrays[name] = image
         records = [Record("kl-mean", float(kl.mean()), unit="nats")]
