@@ -75,6 +75,7 @@ class ModuleMethod(Method):
         return {k: v.detach().cpu() for k, v in self.module.state_dict().items()}
 
     def load_state_dict(self, state: dict[str, Tensor]) -> None:
-        """See :meth:`Method.load_state_dict`; ``bind`` first."""
+        """See :meth:`Method.load_state_dict`; ``bind`` first. Moves to the state's device."""
+        self.module.to(next(iter(state.values())).device)
         self.module.load_state_dict(state)
         self.module.eval()
