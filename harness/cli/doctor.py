@@ -136,7 +136,7 @@ def gpu() -> Finding:
     """An NVIDIA GPU: never needed, much faster."""
     name = gpu_driver()
     if name is None:
-        return Finding("GPU", "none", NOTE, "not needed; the full profile takes a night without")
+        return Finding("GPU", "none", NOTE, "not needed; the full profile is meant for one")
     module = _imported("torch")
     if not isinstance(module, str) and not module.cuda.is_available():
         return Finding("GPU", name, NOTE, "PyTorch is a CPU build: fits will not use this GPU")
