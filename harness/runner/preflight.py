@@ -7,7 +7,7 @@ from pathlib import Path
 from harness import registry
 from harness.protocol import InputError, nearest
 from harness.suite.plan import Plan
-from harness.suite.trials import FIT, Trial
+from harness.suite.trials import Trial
 
 
 def ready(device: str) -> None:
@@ -76,8 +76,3 @@ def check_output(results: Path) -> None:
         results.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InputError(f"{results}: cannot be made: {error.strerror}") from None
-
-
-def all_fits(plan: Plan) -> list[Trial]:
-    """One trial per method and material."""
-    return [trial for trial in plan.trials if trial.measure == FIT]
