@@ -12,7 +12,7 @@ from harness.protocol.disk import (
 )
 from harness.protocol.errors import BudgetExceeded, InputError, Unsupported, nearest
 from harness.protocol.material import Material
-from harness.protocol.method import Budget, DiskSample, FitReport, Method
+from harness.protocol.method import Budget, DiskSample, FitReport, Knob, Method
 
 __all__ = [
     "Budget",
@@ -20,6 +20,7 @@ __all__ = [
     "DiskSample",
     "FitReport",
     "InputError",
+    "Knob",
     "Material",
     "Method",
     "Unsupported",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
-from typing import ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import torch
 from torch import Tensor
@@ -55,6 +55,18 @@ class FitReport:
     notes: str = ""
 
 
+@dataclass(frozen=True)
+class Knob:
+    """What trades accuracy for time: a constructor's parameter, or ``budget.steps``.
+
+    ``values`` run from cheap to dear and contain the default.
+    """
+
+    name: str
+    values: tuple[Any, ...]
+    about: str = ""
+
+
 class Method(ABC):
     """An importance-sampling method for the projected disk.
 
@@ -69,6 +81,9 @@ class Method(ABC):
     name: ClassVar[str] = ""
     uniforms: ClassVar[int] = 3
     """How many of the three columns of ``u`` :meth:`sample` reads."""
+
+    knobs: ClassVar[tuple[Knob, ...]] = ()
+    """What trades this method's accuracy for time; swept one at a time by ``sweep: knobs``."""
 
     material: Material | None = None
     """The material last given to :meth:`fit` (or :meth:`bind`)."""
@@ -106,6 +121,20 @@ class Method(ABC):
 
     def load_state_dict(self, state: dict[str, Tensor]) -> None:
         """Inverse of :meth:`state_dict`, on a method constructed with the same parameters."""
+
+    # --- what lets ``harness check`` look deeper; every one is optional ------------------------
+
+    def reference_pdf(self, condition: Tensor, wo: Tensor) -> Tensor | None:
+        """:meth:`pdf` [N] by the plainest route in double precision; None if there is none."""
+        return None
+
+    def inverse(self, condition: Tensor, wo: Tensor) -> Tensor | None:
+        """The uniforms [N, 3] that :meth:`sample` maps to ``wo``; None if the map is not one."""
+        return None
+
+    def extremes(self) -> dict[str, dict[str, Tensor]]:
+        """Complete states at the ends of the parameters' range, by name (``sigma-to-0``)."""
+        return {}
 
     def size_bytes(self) -> int:
         """Bytes of state as stored."""
