@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import time
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -336,6 +335,7 @@ def test_equal_time():
     """The baseline against itself is one; a sleeper is slower; arrays have their shapes."""
     material = Plaster()
     given = {"rounds": 5, "slice_seconds": 0.02, "deadline": 0.1, "resolution": 12, "warm_up": 0.4}
+    given["max_rounds"] = 5
     methods = [Sleepy(), Uneven(), Uneven(0.4)]
     jobs = [job("equal-time", m, material, baseline=i == 1, **given) for i, m in enumerate(methods)]
     said: list[str] = []
@@ -353,6 +353,13 @@ def test_equal_time():
     for found, outcome in zip((sleepy, base, uneven), outcomes, strict=True):
         assert found["deadline-seconds"] == 0.1 and found["spp-achieved"] >= 1
         assert found["mse-at-deadline"] > 0 and found["achieved-seconds"] > 0
+        assert found["achieved-seconds"] == pytest.approx(outcome.arrays["chunk_seconds"].sum())
+        assert found["deadline-miss"] == pytest.approx(found["achieved-seconds"] / 0.1 - 1)
+        assert found["deadline-missed"] == (abs(found["deadline-miss"]) > 0.015)
+        assert found["disturbed"] in (0, 1)
+        marked = found["disturbed"] or found["deadline-missed"]
+        assert bool(outcome.reason) == bool(marked)
+        assert outcome.arrays["loadavg"].shape == (3,)
         assert outcome.images["equal_time"].shape == (12, 12, 3)
         for name in ("seconds", "baseline_seconds", "batch_variance", "baseline_variance"):
             assert outcome.arrays[name].shape == (5,)
@@ -419,10 +426,10 @@ def test_an_exact_sampler_is_infinitely_better():
 )
 def test_speed_up_of_no_variance(base, method, ratio):
     """Infinite, zero, or without meaning; and no interval."""
-    runners = [SimpleNamespace(variance=np.full(4, v), seconds=[1.0] * 4) for v in (method, base)]
-    from harness.measures.equal_time import _compare
+    from harness.measures.equal_time import compare
 
-    for value, low, high in _compare(*runners):
+    variances, seconds = (np.full(4, base), np.full(4, method)), (np.ones(4), np.ones(4))
+    for value, low, high in compare(variances, seconds):
         assert value == ratio or (math.isnan(value) and math.isnan(ratio))
         assert math.isnan(low) and math.isnan(high)
 
@@ -483,7 +490,7 @@ def test_throughput():
             time.sleep(4e-4 * len(u))
             return super().sample(condition, u)
 
-    given = {"batch": 2048, "rounds": 3, "max_seconds": 0.2}
+    given = {"batch": 2048, "rounds": 3, "max_rounds": 3, "max_seconds": 0.2}
     jobs = [
         job("throughput", m, Plaster(), baseline=i == 0, **given)
         for i, m in enumerate((Correct(), PerRow()))
@@ -491,8 +498,10 @@ def test_throughput():
     good, slow = measures.make("throughput").run(jobs, lambda text: None)
     for outcome in (good, slow):
         found = values(outcome)
-        assert set(found) == {"batch", "samples-per-second", "pdf-queries-per-second"}
-        assert all(r.unit == ("1" if r.metric == "batch" else "1/s") for r in outcome.records)
+        rates = {"samples-per-second", "pdf-queries-per-second"}
+        rest = {"batch", "sample-time-ratio", "pdf-time-ratio", "disturbed"}
+        assert set(found) == rates | rest
+        assert all(r.unit == ("1/s" if r.metric in rates else "1") for r in outcome.records)
         for name in ("sample", "pdf"):
             seconds = outcome.arrays[f"{name}_seconds"]
             assert seconds.shape == (3,) and (seconds > 0).all()

@@ -65,6 +65,7 @@ class Job:
     is the trial's; ``generator`` is seeded from it and from the measure's name alone, so that
     all methods see the same random conditions. Files written to ``out_dir`` become part of the
     trial's folder. ``baseline`` marks the suite's reference method.
+    ``fit_records`` are the numbers that the method's fit recorded, by metric.
     """
 
     trial: Any
@@ -78,6 +79,7 @@ class Job:
     out_dir: Path
     make: Callable[[], Method]
     baseline: bool = False
+    fit_records: dict[str, float] = field(default_factory=dict)
 
 
 class Settings(BaseModel):

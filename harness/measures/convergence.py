@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 from scipy import stats
@@ -12,6 +13,7 @@ from harness.measures.base import Job, Measure, Outcome, Record
 from harness.measures.base import Settings as BaseSettings
 from harness.measures.images import checked, reference, too_slow
 from harness.rendering.prepared import prepare
+from harness.stats.intervals import median_interval
 
 
 class Convergence(Measure):
@@ -22,7 +24,9 @@ class Convergence(Measure):
     subtracted. The error is averaged over the pixels that show the material and over
     ``repeats`` independent renders, whose spread gives the interval. ``slope`` is that of
     log MSE against log spp: -1 for an unbiased estimator of finite variance. A method stops
-    at the level that would take longer than ``max_seconds``.
+    at the level that would take longer than ``max_seconds``. Seconds are medians over the
+    repeats, their interval that of :func:`~harness.stats.intervals.median_interval`: from
+    the fastest to the slowest where there are fewer than six.
     """
 
     name = "convergence"
@@ -57,12 +61,13 @@ class Convergence(Measure):
         notify(f"{jobs[0].material.name}: reference image")
         truth = reference(jobs[0], settings.resolution, settings.reference_spp)
         prepared = [prepare(j.scene, j.material, j.method, settings.resolution) for j in jobs]
-        found: list[list[tuple[int, float, list[float]]]] = [[] for _ in jobs]
+        found: list[list[_Level]] = [[] for _ in jobs]
         for level in range(settings.levels):
             spp = 2**level
             notify(f"convergence at {spp} spp, {len(jobs)} methods")
             for j, job in enumerate(jobs):
-                if found[j] and 2 * found[j][-1][1] * settings.repeats > settings.max_seconds:
+                last = np.median(found[j][-1].seconds) if found[j] else 0.0
+                if 2 * last * settings.repeats > settings.max_seconds:
                     continue
                 # Unmeasured, for the first render of a size allocates and may compile.
                 prepared[j].render(spp, seed=level)
@@ -74,13 +79,22 @@ class Convergence(Measure):
                     rendered = checked(prepared[j].render(spp, seed), job)
                     errors.append(float(np.square(rendered.mean - truth.mean)[mask].mean() - noise))
                     seconds.append(rendered.seconds)
-                found[j].append((spp, float(np.median(seconds)), errors))
+                found[j].append(_Level(spp, seconds, errors))
         return [_outcome(levels) for levels in found]
 
 
-def _outcome(levels: list[tuple[int, float, list[float]]]) -> Outcome:
-    spp = np.array([s for s, _, _ in levels], float)
-    errors = np.array([e for _, _, e in levels])
+class _Level(NamedTuple):
+    """Renders of ``spp`` samples: seconds and squared error of each repeat."""
+
+    spp: int
+    seconds: list[float]
+    errors: list[float]
+
+
+def _outcome(levels: list[_Level]) -> Outcome:
+    spp = np.array([level.spp for level in levels], float)
+    errors = np.array([level.errors for level in levels])
+    times = np.array([median_interval(level.seconds) for level in levels])
     mse, n = errors.mean(1), errors.shape[1]
     half = (
         stats.t.ppf(0.975, n - 1) * errors.std(1, ddof=1) / math.sqrt(n)
@@ -89,7 +103,10 @@ def _outcome(levels: list[tuple[int, float, list[float]]]) -> Outcome:
     )
     arrays = {
         "spp": spp,
-        "seconds": np.array([t for _, t, _ in levels]),
+        "seconds": times[:, 0],
+        "seconds_low": times[:, 1],
+        "seconds_high": times[:, 2],
+        "all_seconds": np.array([level.seconds for level in levels]),
         "mse": mse,
         "mse_low": mse - half,
         "mse_high": mse + half,

@@ -8,7 +8,8 @@ import numpy as np
 
 from harness.measures.base import Job, Measure, Outcome, Record
 from harness.measures.base import Settings as BaseSettings
-from harness.measures.images import checked, reference, too_slow
+from harness.measures.batches import LEAST, LEAST_SPP, render_batches
+from harness.measures.images import reference, too_slow
 from harness.protocol import BudgetExceeded
 from harness.rendering.prepared import prepare
 from harness.stats.intervals import mean_interval
@@ -46,32 +47,26 @@ class EqualSpp(Measure):
         return [self._one(job, self.Settings(**job.settings), notify) for job in jobs]
 
     def _one(self, job: Job, settings: Settings, notify: Callable[[str], None]) -> Outcome:
-        if reason := too_slow(job, settings.resolution, 2 * 6, settings.patience):
+        if reason := too_slow(job, settings.resolution, LEAST_SPP * LEAST, settings.patience):
             raise BudgetExceeded(reason)
         prepared = prepare(job.scene, job.material, job.method, settings.resolution)
-        mask = prepared.mask
-        notify(f"{job.method.name}: warm-up")
-        checked(prepared.render(2, job.seed + 98), job)
-        once = checked(prepared.render(2, job.seed + 99), job)
-        # A slow method takes fewer samples a batch, rather than fewer batches.
-        affordable = settings.max_seconds / settings.batches / (once.seconds / 2)
-        spp = int(min(settings.spp, max(2, affordable)))
-        passes, spent = [], 0.0
-        for batch in range(settings.batches):
-            notify(f"{job.method.name}: batch {batch + 1} of {settings.batches} at {spp} spp")
-            passes.append(checked(prepared.render(spp, 1000 * (job.seed + 1) + batch), job))
-            spent += passes[-1].seconds
-            if spent > settings.max_seconds and batch >= 5:
-                break
-        variance = np.array([p.variance[mask].mean() for p in passes])
-        mean = np.mean([p.mean for p in passes], 0)
-        pixel_variance = np.mean([p.variance for p in passes], 0) / (spp * len(passes))
+        done = render_batches(
+            prepared,
+            job,
+            batches=settings.batches,
+            spp=settings.spp,
+            max_seconds=settings.max_seconds,
+            seed=1000 * (job.seed + 1),
+            notify=notify,
+        )
+        mask, mean, variance = done.mask, done.mean, done.errors
+        pixel_variance = done.variance_of_mean
         power = float(np.square(mean[mask]).mean())
         interval = mean_interval(variance)
         records = [
             Record("variance", *interval, "radiance^2"),
             Record("relative-variance", *(v / power for v in interval), "1"),
-            Record("spp", float(spp * len(passes)), unit="1"),
+            Record("spp", float(done.spp), unit="1"),
         ]
         arrays = {
             "batch_variance": variance,
@@ -87,5 +82,4 @@ class EqualSpp(Measure):
             Record("bias-z", found.global_score, unit="1"),
             Record("bias-p", found.p_value, unit="1"),
         ]
-        rgb = np.mean([p.rgb for p in passes], 0)
-        return Outcome(records=records, arrays=arrays, images={"mean": rgb})
+        return Outcome(records=records, arrays=arrays, images={"mean": done.rgb})

@@ -3,67 +3,45 @@
 from __future__ import annotations
 
 import math
-import time
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Sequence
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from harness.measures.base import Job, Measure, Outcome, Record
-from harness.measures.base import Settings as BaseSettings
 from harness.measures.images import checked, too_slow
+from harness.measures.race import Runner, race
+from harness.measures.renders import Entrant, RenderSettings, enter
+from harness.measures.timing import Timings, interleave
 from harness.protocol import BudgetExceeded
-from harness.rendering.passes import Pass
-from harness.rendering.prepared import Prepared, prepare
-from harness.stats.intervals import mean_interval, median_interval, ratio_of_means, speed_up
-
-
-@dataclass
-class _Runner:
-    """One method in the race."""
-
-    job: Job
-    prepared: Prepared
-    spp: int = 2
-    seconds: list[float] = field(default_factory=list)
-    passes: list[Pass] = field(default_factory=list)
-
-    @property
-    def variance(self) -> np.ndarray:
-        """Per round: the variance of one sample, averaged over the pixels that count."""
-        return np.array([p.variance[self.prepared.mask].mean() for p in self.passes])
+from harness.stats.intervals import mean_interval, ratio_of_means, speed_up
 
 
 class EqualTime(Measure):
     """Seconds per sample per pixel, and what quality the same time buys.
 
-    After a warm-up that lasts until two renders in a row take the same time within
-    ``stable`` (or ``warm_up`` seconds have gone), ``rounds`` rounds let every method render
-    for about ``slice_seconds``, in an order that rotates from round to round, so that drift
-    of the machine hits all alike. Then each renders in chunks for ``deadline`` seconds.
+    After a warm-up that lasts until two renders in a row take the same time, every method
+    renders for about ``slice_seconds`` in each round, see
+    :func:`~harness.measures.timing.interleave`. Then each renders in chunks for ``deadline``
+    seconds, in turn with the others. ``disturbed`` is 1 where an interval of the times stayed
+    wider than ``tolerance``; ``deadline-missed`` is 1 where ``deadline-miss``, the achieved
+    time over the deadline less one, is more than half of ``agreement`` off, so that the
+    achieved times of those not marked agree within ``agreement``.
 
     ``speedup-equal-time`` is (variance x seconds per sample) of the baseline over that of
     the method: how much longer the baseline runs for equal quality. Times are compared
-    within their round. All times are wall-clock of finished renders: tracing rays,
-    evaluating the material, sampling.
+    within their round (``time-ratio``). All times are wall-clock of finished renders: tracing
+    rays, evaluating the material, sampling.
     """
 
     name = "equal-time"
     timed = True
 
-    class Settings(BaseSettings):
-        """``slice_seconds`` per method and round.
+    class Settings(RenderSettings):
+        """See :class:`RenderSettings`."""
 
-        A method that would need more than ``patience`` seconds for its rounds is not begun.
-        """
-
-        rounds: int = 12
-        slice_seconds: float = 0.2
         deadline: float = 1.0
-        resolution: int = 96
-        warm_up: float = 3.0
-        stable: float = 0.1
-        patience: float = 3600.0
+        agreement: float = 0.03
 
     def run(self, jobs: list[Job], notify: Callable[[str], None]) -> list[Outcome]:
         """See :class:`Measure`."""
@@ -78,105 +56,102 @@ class EqualTime(Measure):
     def _timed(
         self, jobs: list[Job], settings: Settings, notify: Callable[[str], None]
     ) -> list[Outcome]:
-        runners = [
-            _Runner(j, prepare(j.scene, j.material, j.method, settings.resolution)) for j in jobs
-        ]
-        base = next((r for r in runners if r.job.baseline), None)
+        base = next((i for i, job in enumerate(jobs) if job.baseline), None)
         if base is None:
             raise BudgetExceeded("the baseline is too slow for its rounds")
-        for runner in runners:
-            notify(f"{runner.job.method.name}: warm-up")
-            _warm_up(runner, settings)
-        for number in range(settings.rounds):
-            notify(f"timing round {number + 1} of {settings.rounds}, {len(runners)} methods")
-            turn = number % len(runners)
-            for runner in runners[turn:] + runners[:turn]:
-                seed = 5000 * (runner.job.seed + 1) + number
-                rendered = checked(runner.prepared.render(runner.spp, seed), runner.job)
-                runner.seconds.append(rendered.seconds / runner.spp)
-                runner.passes.append(rendered)
-        return [self._finish(r, base, settings, notify) for r in runners]
+        entrants = [enter(job, settings, notify) for job in jobs]
+        contenders = [e.contender(None if i == base else base) for i, e in enumerate(entrants)]
+        timings = interleave(contenders, settings, notify)
+        notify(f"{settings.deadline:g} s each, {len(entrants)} methods")
+        runners = [
+            _runner(entrant, timings.median(i).value, settings.deadline)
+            for i, entrant in enumerate(entrants)
+        ]
+        race(runners)
+        return [
+            self._finish(i, entrants, base, timings, runner, settings)
+            for i, runner in enumerate(runners)
+        ]
 
     def _finish(
-        self, runner: _Runner, base: _Runner, settings: Settings, notify: Callable[[str], None]
+        self,
+        index: int,
+        entrants: Sequence[Entrant],
+        base: int,
+        timings: Timings,
+        runner: Runner,
+        settings: Settings,
     ) -> Outcome:
-        notify(f"{runner.job.method.name}: {settings.deadline:g} s")
-        image, spp, seconds = _race(runner, settings.deadline)
-        per_spp = median_interval(runner.seconds)
-        pixels = settings.resolution**2
-        mask = runner.prepared.mask
-        error = mean_interval(runner.variance / spp)
+        entrant, rival = entrants[index], entrants[base]
+        per_spp = timings.median(index)
+        pixels = entrant.prepared.mask.size
+        variance = np.array(entrant.errors)
+        missed = abs(runner.miss) > settings.agreement / 2
+        disturbed, reason = timings.mark(index)
+        if missed:
+            late = f"{settings.deadline:g} s missed by {runner.miss:+.1%}"
+            reason = f"{reason}; {late}" if reason else late
         records = [
             Record("seconds-per-spp", *per_spp, "s"),
             Record("samples-per-second", pixels / per_spp.value, unit="1/s"),
+            Record("time-ratio", *timings.ratio(index), "1"),
             Record("deadline-seconds", settings.deadline, unit="s"),
-            Record("achieved-seconds", seconds, unit="s"),
-            Record("spp-achieved", float(spp), unit="1"),
-            Record("mse-at-deadline", *error, "radiance^2"),
+            Record("achieved-seconds", runner.seconds, unit="s"),
+            Record("deadline-miss", runner.miss, unit="1"),
+            Record("deadline-missed", float(missed), unit="1"),
+            Record("spp-achieved", float(runner.spp), unit="1"),
+            Record("mse-at-deadline", *mean_interval(variance / runner.spp), "radiance^2"),
+            disturbed,
         ]
-        equal_time, equal_spp = _compare(runner, base)
+        seconds = timings.rival_seconds(index), timings.seconds(index)
+        equal_time, equal_spp = (
+            # By definition, not measurement: the baseline against itself.
+            ((1.0, 1.0, 1.0), (1.0, 1.0, 1.0))
+            if index == base
+            else compare((rival.errors, entrant.errors), seconds)
+        )
         records.append(Record("speedup-equal-time", *equal_time, "1"))
         records.append(Record("speedup-equal-spp", *equal_spp, "1"))
         arrays = {
-            "seconds": np.array(runner.seconds),
-            "baseline_seconds": np.array(base.seconds),
-            "batch_variance": runner.variance,
-            "baseline_variance": base.variance,
-            "round_spp": np.array(runner.spp),
-            "mask": mask,
+            "seconds": timings.seconds(index),
+            "baseline_seconds": timings.rival_seconds(index),
+            "batch_variance": variance,
+            "baseline_variance": np.array(rival.errors),
+            "round_spp": np.array(entrant.spp),
+            "chunk_spp": np.array([spp for spp, _ in runner.chunks]),
+            "chunk_seconds": np.array([seconds for _, seconds in runner.chunks]),
+            "loadavg": timings.loadavg,
+            "mask": entrant.prepared.mask,
         }
-        return Outcome(records=records, arrays=arrays, images={"equal_time": image})
+        return Outcome(
+            reason=reason, records=records, arrays=arrays, images={"equal_time": runner.image}
+        )
 
 
-def _compare(runner: _Runner, base: _Runner) -> tuple[Iterable[float], Iterable[float]]:
-    """Speed-up over the baseline at equal time and at equal samples, each with its interval."""
-    if runner is base:
-        # By definition, not measurement: the baseline against itself.
-        return (1.0, 1.0, 1.0), (1.0, 1.0, 1.0)
-    resolved = [bool((r.variance > 0).all()) for r in (base, runner)]
+def compare(
+    variance: tuple[ArrayLike, ArrayLike], seconds: tuple[ArrayLike, ArrayLike]
+) -> tuple[Iterable[float], Iterable[float]]:
+    """Speed-up over the baseline at equal time and at equal samples, each with its interval.
+
+    Each pair is (baseline, method): ``variance`` of independent renders, ``seconds`` of the
+    same rounds.
+    """
+    base, method = (np.asarray(v, float) for v in variance)
+    resolved = bool((base > 0).all()), bool((method > 0).all())
     if not all(resolved):
         # An exact sampler has no variance, or one below the moments' rounding: a ratio with
         # it is infinite or nothing, or without meaning where both are exact.
-        ratio = {(True, False): math.inf, (False, True): 0.0}.get(tuple(resolved), math.nan)
+        ratio = {(True, False): math.inf, (False, True): 0.0}.get(resolved, math.nan)
         return (ratio, math.nan, math.nan), (ratio, math.nan, math.nan)
-    return (
-        speed_up(base.variance, runner.variance, base.seconds, runner.seconds),
-        ratio_of_means(base.variance, runner.variance),
+    return speed_up(base, method, *seconds), ratio_of_means(base, method)
+
+
+def _runner(entrant: Entrant, per_spp: float, deadline: float) -> Runner:
+    """In the race: seeds that no round has used."""
+    job, render = entrant.job, entrant.prepared.render
+    return Runner(
+        lambda spp, seed: checked(render(spp, seed), job),
+        per_spp,
+        deadline,
+        900_000 + 7919 * job.seed,
     )
-
-
-def _warm_up(runner: _Runner, settings: EqualTime.Settings) -> None:
-    """Compile, fill caches, and find the samples that fill one slice."""
-    start, last = time.perf_counter(), np.inf
-    for attempt in range(100):
-        rendered = checked(runner.prepared.render(runner.spp, seed=77 + attempt), runner.job)
-        steady = abs(rendered.seconds - last) < settings.stable * last
-        last = rendered.seconds
-        wanted = int(settings.slice_seconds / (rendered.seconds / runner.spp))
-        grow = wanted > 1.5 * runner.spp
-        # At least two samples a pixel: one has no variance.
-        runner.spp = max(2, min(wanted, 8 * runner.spp))
-        if (steady and not grow) or time.perf_counter() - start > settings.warm_up:
-            return
-
-
-def _race(runner: _Runner, deadline: float) -> tuple[np.ndarray, int, float]:
-    """Render chunks until the deadline: mean image, samples per pixel, seconds taken.
-
-    Chunks are a tenth of the deadline, shrinking at its end; the last one is left out where
-    even one sample per pixel would overrun it, but one chunk there always is.
-    """
-    per_spp = float(np.median(runner.seconds))
-    total, spp, seed = 0.0, 0, 900_000 + 7919 * runner.job.seed
-    start = time.perf_counter()
-    while True:
-        left = deadline - (time.perf_counter() - start)
-        count = int(min(deadline / 10, left) / per_spp)
-        if count < 1:
-            if spp:
-                break
-            count = 1
-        rendered = checked(runner.prepared.render(count, seed + spp), runner.job)
-        total = total + rendered.rgb * count
-        spp += count
-    return total / spp, spp, time.perf_counter() - start

@@ -2,24 +2,24 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 
 import torch
 
 from harness.measures.base import Job, Measure, Outcome, Record
 from harness.measures.guard import BadAdapter, guard, state_of
+from harness.measures.timing import now
 from harness.protocol import FitReport, Material, Method, Unsupported
 
 
 class Fit(Measure):
     """Seconds of fitting and of loading, and the size of what was fitted.
 
-    ``fit-seconds`` is the whole of ``method.fit``; ``data-seconds`` and ``optimise-seconds``
-    are its parts as the method reports them, where targets that were tabulated for another
-    method of the run count with the time that took. ``load-seconds`` is what a renderer waits for:
-    from the state in memory to the first sample of a new method, so that a compilation
-    counts here and never in a steady-state figure.
+    ``fit-seconds`` is the whole of ``method.fit``; ``data-seconds``, ``optimise-seconds`` and,
+    for a method that bakes, ``bake-seconds`` are its parts as the method reports them. Targets
+    that were tabulated for another method of the run count with the time that took.
+    ``load-seconds`` is what a renderer waits for: from the state in memory to the first sample
+    of a new method, so that a compilation counts here and never in a steady-state figure.
     """
 
     name = "fit"
@@ -35,21 +35,22 @@ class Fit(Measure):
         supported, reason = method.supports(material)
         if not supported:
             raise Unsupported(reason or f"{method.name} does not support {material.name}")
-        start = _now(device)
+        start = now(device)
         report = method.fit(material, job.budget, job.generator)
-        elapsed = _now(device) - start
+        elapsed = now(device) - start
         if not isinstance(report, FitReport):
             kind = type(report).__name__
             raise BadAdapter(f"{method.name}: fit returned a {kind}, expected a FitReport")
         # Targets shared with an earlier fit took no time now, but a fit alone would make them.
-        fit_seconds = max(elapsed, report.data_seconds + report.optimise_seconds)
+        parts = report.data_seconds + report.optimise_seconds + report.bake_seconds
+        fit_seconds = max(elapsed, parts)
         state = {key: value.detach() for key, value in state_of(method).items()}
-        start = _now(device)
+        start = now(device)
         loaded = restore(job.make(), material, state)
         condition = material.conditions(1, job.generator, device)
         with torch.inference_mode():
             loaded.sample(condition, torch.rand(1, 3, generator=job.generator).to(device))
-        load_seconds = _now(device) - start
+        load_seconds = now(device) - start
         guard(loaded, material, job.generator, device)
         records = [
             Record("fit-seconds", fit_seconds, unit="s"),
@@ -59,6 +60,8 @@ class Fit(Measure):
             Record("parameters", report.parameters, unit="1"),
             Record("size-bytes", method.size_bytes(), unit="B"),
         ]
+        if report.bake_seconds:
+            records.append(Record("bake-seconds", report.bake_seconds, unit="s"))
         if report.loss:
             records.append(Record("final-loss", report.loss[-1], unit="1"))
         arrays = {"loss": torch.tensor(report.loss).numpy()} if report.loss else {}
@@ -70,9 +73,3 @@ def restore(method: Method, material: Material, state: dict[str, torch.Tensor]) 
     method.bind(material)
     method.load_state_dict(state)
     return method
-
-
-def _now(device: str) -> float:
-    if device != "cpu":
-        torch.cuda.synchronize(device)
-    return time.perf_counter()

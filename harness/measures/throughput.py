@@ -2,71 +2,101 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
+from dataclasses import dataclass
 
-import numpy as np
 import torch
 
 from harness.measures.base import Job, Measure, Outcome, Record
-from harness.measures.base import Settings as BaseSettings
-from harness.protocol import Method
-from harness.stats.intervals import median_interval
+from harness.measures.timing import (
+    Contender,
+    RoundSettings,
+    Timings,
+    interleave,
+    seconds_of,
+    settle,
+)
+
+
+class BatchSettings(RoundSettings):
+    """``batch`` rows, as a renderer's wavefront has them, or as many as ``max_seconds`` allow."""
+
+    batch: int = 262_144
+    rounds: int = 11
+    max_seconds: float = 1.0
 
 
 class Throughput(Measure):
     """Rows per second of ``sample`` and ``pdf`` on one batch of random conditions.
 
     Each call is warmed up until two in a row agree within ``stable``; then methods take
-    turns for ``rounds`` rounds. The batch is in memory before the clock starts, and the
-    result is there when it stops. A method too slow for the whole batch within
-    ``max_seconds`` is timed on a part of it, and the ``batch`` record says so.
+    turns, see :func:`~harness.measures.timing.interleave`. The batch is in memory before the
+    clock starts, and the result is there when it stops. A method too slow for the whole batch
+    within ``max_seconds`` is timed on a part of it, and the ``batch`` record says so.
+    ``sample-time-ratio`` and ``pdf-time-ratio`` are times per row over the baseline's of the
+    same round. ``disturbed`` is 1 where an interval stayed wider than ``tolerance``.
     """
 
     name = "throughput"
     needs_scene = False
     timed = True
 
-    class Settings(BaseSettings):
-        """``batch`` rows, as a renderer's wavefront has them."""
-
-        batch: int = 262_144
-        rounds: int = 11
-        stable: float = 0.1
-        max_seconds: float = 1.0
+    class Settings(BatchSettings):
+        """See :class:`BatchSettings`."""
 
     def run(self, jobs: list[Job], notify: Callable[[str], None]) -> list[Outcome]:
         """See :class:`Measure`."""
         settings = self.Settings(**jobs[0].settings)
-        calls = []
-        for job in jobs:
-            notify(f"{job.method.name}: warm-up")
-            calls.append(_prepare(job, settings))
-        times: list[list[list[float]]] = [[[], []] for _ in jobs]
-        for number in range(settings.rounds):
-            notify(f"throughput round {number + 1} of {settings.rounds}")
-            for j in [*range(number % len(jobs), len(jobs)), *range(number % len(jobs))]:
-                for kind in (0, 1):
-                    times[j][kind].append(_timed(calls[j][kind], jobs[j].budget.device))
-        return [_outcome(*pair, rows) for pair, (_, _, rows) in zip(times, calls, strict=True)]
+        batches = [prepare_batch(job, settings, notify) for job in jobs]
+        base = next((2 * j for j, job in enumerate(jobs) if job.baseline), None)
+        contenders = [
+            entry
+            for job, batch in zip(jobs, batches, strict=True)
+            for entry in batch.contenders(job, None if job.baseline else base)
+        ]
+        timings = interleave(contenders, settings, notify)
+        return [_outcome(timings, 2 * j, batch) for j, batch in enumerate(batches)]
 
 
-def _prepare(job: Job, settings: Throughput.Settings) -> tuple[Callable, Callable, int]:
-    """Warm ``sample`` and ``pdf`` calls, and how many rows they take."""
-    device, method = job.budget.device, job.method
-    rows = 1
+@dataclass(frozen=True)
+class Batch:
+    """``sample`` and ``pdf`` of one method on ``rows`` rows, warmed up."""
+
+    sample: Callable[[], object]
+    pdf: Callable[[], object]
+    rows: int
+
+    def contenders(self, job: Job, first_rival: int | None) -> list[Contender]:
+        """Sample and pdf, in seconds per row; their rivals are two in a row."""
+        device, name = job.budget.device, job.method.name
+        rivals = (None, None) if first_rival is None else (first_rival, first_rival + 1)
+        return [
+            Contender(
+                f"{name} {what}", lambda _, call=call: seconds_of(call, device), self.rows, rival
+            )
+            for what, call, rival in zip(
+                ("sample", "pdf"), (self.sample, self.pdf), rivals, strict=True
+            )
+        ]
+
+
+def prepare_batch(job: Job, settings: BatchSettings, notify: Callable[[str], None]) -> Batch:
+    """Warm ``sample`` and ``pdf`` up, on as many rows as the settings allow."""
+    notify(f"{job.method.name}: warm-up")
+    device, rows = job.budget.device, 1
     while True:
-        sample, pdf = _calls(job, method, rows, device)
-        seconds = _warm(sample, settings, device)
+        sample, pdf = _calls(job, rows)
+        seconds = settle(lambda call=sample: seconds_of(call, device), settings)
         fits = settings.max_seconds / seconds * rows
         if rows == settings.batch or fits < 2 * rows:
             break
         rows = int(min(settings.batch, fits, 64 * rows))
-    _warm(pdf, settings, device)
-    return sample, pdf, rows
+    settle(lambda: seconds_of(pdf, device), settings)
+    return Batch(sample, pdf, rows)
 
 
-def _calls(job: Job, method: Method, rows: int, device: str) -> tuple[Callable, Callable]:
+def _calls(job: Job, rows: int) -> tuple[Callable[[], object], Callable[[], object]]:
+    method, device = job.method, job.budget.device
     condition = job.material.conditions(rows, job.generator, device)
     u = torch.rand(rows, 3, generator=job.generator).to(device)
     with torch.inference_mode():
@@ -74,31 +104,15 @@ def _calls(job: Job, method: Method, rows: int, device: str) -> tuple[Callable, 
     return lambda: method.sample(condition, u), lambda: method.pdf(condition, wo)
 
 
-def _warm(call: Callable, settings: Throughput.Settings, device: str) -> float:
-    last = np.inf
-    for _ in range(20):
-        now = _timed(call, device)
-        if abs(now - last) < settings.stable * last:
-            break
-        last = now
-    return now
-
-
-def _timed(call: Callable, device: str) -> float:
-    if device != "cpu":
-        torch.cuda.synchronize(device)
-    start = time.perf_counter()
-    with torch.inference_mode():
-        call()
-    if device != "cpu":
-        torch.cuda.synchronize(device)
-    return time.perf_counter() - start
-
-
-def _outcome(sample: list[float], pdf: list[float], rows: int) -> Outcome:
-    records = [Record("batch", float(rows), unit="1")]
-    for metric, seconds in (("samples-per-second", sample), ("pdf-queries-per-second", pdf)):
-        value, low, high = median_interval(seconds)
-        records.append(Record(metric, rows / value, rows / high, rows / low, "1/s"))
-    arrays = {"sample_seconds": np.array(sample), "pdf_seconds": np.array(pdf)}
-    return Outcome(records=records, arrays=arrays)
+def _outcome(timings: Timings, first: int, batch: Batch) -> Outcome:
+    records = [Record("batch", float(batch.rows), unit="1")]
+    arrays = {"loadavg": timings.loadavg}
+    for index, metric in ((first, "samples-per-second"), (first + 1, "pdf-queries-per-second")):
+        value, low, high = timings.median(index)
+        records.append(Record(metric, 1 / value, 1 / high, 1 / low, "1/s"))
+    for index, what in ((first, "sample"), (first + 1, "pdf")):
+        records.append(Record(f"{what}-time-ratio", *timings.ratio(index), "1"))
+        arrays[f"{what}_seconds"] = timings.seconds(index) * batch.rows
+        arrays[f"baseline_{what}_seconds_per_row"] = timings.rival_seconds(index)
+    mark, reason = timings.mark(first, first + 1)
+    return Outcome(reason=reason, records=[*records, mark], arrays=arrays)

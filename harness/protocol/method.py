@@ -53,6 +53,8 @@ class FitReport:
     optimise_seconds: float = 0.0
     loss: list[float] = field(default_factory=list)
     notes: str = ""
+    bake_seconds: float = 0.0
+    """Of turning what was fitted into the tables that are sampled, where a method does."""
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ import hashlib
 import tempfile
 import xml.etree.ElementTree as ElementTree
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import drjit as dr
 import mitsuba as mi
@@ -16,18 +16,21 @@ from harness.protocol import InputError
 from harness.scenes.base import Mesh, Scene, Sphere, XmlScene
 from harness.scenes.shapes import sphere_mesh
 
+Sampling = Literal["bsdf", "mis"]
+_EMITTER_SAMPLES = {"bsdf": 0, "mis": 1}
 _UNTESTED = {"type": "diffuse", "reflectance": {"type": "rgb", "value": 0.3}}
 
 
-def integrator(sampling: str = "bsdf") -> mi.Integrator:
+def integrator(sampling: Sampling = "bsdf") -> mi.Integrator:
     """Moments of direct light.
 
-    By one sample of the BSDF (``bsdf``), or by that and one of the light (``mis``).
+    By one sample of the BSDF (``bsdf``), or by that and one of the light, weighted by the
+    power heuristic (``mis``).
     """
     nested = {
         "type": "direct",
         "bsdf_samples": 1,
-        "emitter_samples": 1 if sampling == "mis" else 0,
+        "emitter_samples": _EMITTER_SAMPLES[sampling],
         "hide_emitters": True,
     }
     return mi.load_dict({"type": "moment", "nested": nested})

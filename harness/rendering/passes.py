@@ -11,6 +11,8 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from harness.stats.moments import one_sample_variance
+
 LANES = 1 << 18
 """Camera rays per pass: large enough to amortise a launch, small enough for the cache."""
 
@@ -20,7 +22,8 @@ class Pass:
     """One finished render: moments over ``spp`` independent samples of every pixel.
 
     ``rgb`` [H, W, 3] mean radiance; ``mean`` [H, W] mean luminance; ``variance`` [H, W]
-    unbiased estimate of the variance of ONE luminance sample; ``seconds`` wall time.
+    unbiased estimate of the variance of ONE luminance sample, nan for ``spp`` = 1;
+    ``seconds`` wall time.
     """
 
     rgb: np.ndarray
@@ -28,6 +31,10 @@ class Pass:
     variance: np.ndarray
     spp: int
     seconds: float
+
+    def error(self, mask: np.ndarray) -> float:
+        """Variance of one sample, averaged over the pixels of ``mask`` [H, W]."""
+        return float(self.variance[mask].mean())
 
 
 @contextlib.contextmanager
@@ -80,11 +87,12 @@ def render(
     seconds = time.perf_counter() - start
     moments = total / spp
     mean = moments[..., 4]
-    # E[Y^2] - E[Y]^2 of the sample; n / (n - 1) makes it unbiased. One sample has none.
-    # Where the image is infinite, inf - inf: its variance is nan, and that is no news.
-    with np.errstate(invalid="ignore"):
-        spread = moments[..., 7] - mean**2
-    variance = spread * (spp / (spp - 1)) if spp > 1 else np.full_like(mean, np.nan)
+    if spp == 1:
+        variance = np.full_like(mean, np.nan)
+    else:
+        # Where the image is infinite, inf - inf: its variance is nan, and that is no news.
+        with np.errstate(invalid="ignore"):
+            variance = one_sample_variance(mean, moments[..., 7], spp)
     return Pass(moments[..., :3], mean, variance, spp, seconds)
 
 

@@ -5,6 +5,7 @@ Import this module after ``variant.use``: a Mitsuba class belongs to a variant.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import drjit as dr
@@ -13,8 +14,9 @@ import torch
 
 from harness.columns import ColumnMethod, Columns, columns_of, tensor_of
 from harness.protocol import Material, Method
+from harness.rendering.meter import Meter
 
-_MATERIALS: dict[str, tuple[Material, Method]] = {}
+_PAIRS: dict[str, Callable[[], SampledBSDF]] = {}
 
 
 class SampledBSDF(mi.BSDF):
@@ -34,6 +36,7 @@ class SampledBSDF(mi.BSDF):
         self.own_eval = type(method).eval is not Method.eval
         self.in_columns = isinstance(method, ColumnMethod)
         self.nested = getattr(material, "bsdf", None)
+        self.meter: Meter | None = None
         flags = mi.BSDFFlags.GlossyReflection | mi.BSDFFlags.FrontSide
         if material.n_address + material.n_features:
             flags = flags | mi.BSDFFlags.SpatiallyVarying
@@ -62,7 +65,10 @@ class SampledBSDF(mi.BSDF):
         bs.sampled_type = mi.UInt32(+mi.BSDFFlags.GlossyReflection)
         bs.sampled_component = mi.UInt32(0)
         value = dr.select(valid, self._value(ctx, si, bs.wo, valid) / bs.pdf, 0)
-        return bs, dr.select(broken | dr.any(dr.isnan(value)), dr.inf, value)
+        value = dr.select(broken | dr.any(dr.isnan(value)), dr.inf, value)
+        if self.meter is not None:
+            self.meter.sampled(mi.Mask(active) & si.is_valid(), value)
+        return bs, value
 
     def eval(self, ctx: Any, si: Any, wo: Any, active: Any = True) -> Any:
         """f cos."""
@@ -78,8 +84,12 @@ class SampledBSDF(mi.BSDF):
         return dr.select(above, self._density(si, wo, above) * wo.z, 0)
 
     def eval_pdf(self, ctx: Any, si: Any, wo: Any, active: Any = True) -> Any:
-        """Both."""
-        return self.eval(ctx, si, wo, active), self.pdf(ctx, si, wo, active)
+        """Both, as multiple importance sampling asks for them."""
+        value, pdf = self.eval(ctx, si, wo, active), self.pdf(ctx, si, wo, active)
+        # A weight that is nan counts as zero, and hides where it came from. Density zero gives
+        # the light's strategy, and with it infinity, the weight one.
+        broken = dr.isnan(pdf) | dr.any(dr.isnan(value))
+        return dr.select(broken, dr.inf, value), dr.select(broken, 0, pdf)
 
     def to_string(self) -> str:
         """For Mitsuba's messages."""
@@ -106,6 +116,11 @@ class SampledBSDF(mi.BSDF):
         return [*columns_of(self.material.places(uv)), si.wi.x, si.wi.y]
 
     def _draw(self, si: Any, u: Columns, active: Any) -> tuple[Any, Any, Any]:
+        if self.meter is None:
+            return self._draw_bare(si, u, active)
+        return self.meter.during("sample", active, [si, u], lambda: self._draw_bare(si, u, active))
+
+    def _draw_bare(self, si: Any, u: Columns, active: Any) -> tuple[Any, Any, Any]:
         c = self._condition(si)
         if self.in_columns:
             return self.method.sample_columns(c, u)
@@ -117,6 +132,13 @@ class SampledBSDF(mi.BSDF):
         return tuple(_on_active_rows(draw, [*c, *u], active, outputs=3))
 
     def _density(self, si: Any, wo: Any, active: Any) -> Any:
+        if self.meter is None:
+            return self._density_bare(si, wo, active)
+        return self.meter.during(
+            "pdf", active, [si, wo], lambda: self._density_bare(si, wo, active)
+        )
+
+    def _density_bare(self, si: Any, wo: Any, active: Any) -> Any:
         c = self._condition(si)
         if self.in_columns:
             return self.method.pdf_columns(c, [wo.x, wo.y])
@@ -127,6 +149,13 @@ class SampledBSDF(mi.BSDF):
         return _on_active_rows(density, [*c, wo.x, wo.y], active, outputs=1)[0]
 
     def _value(self, ctx: Any, si: Any, wo: Any, active: Any) -> Any:
+        if self.meter is None:
+            return self._value_bare(ctx, si, wo, active)
+        return self.meter.during(
+            "eval", active, [si, wo], lambda: self._value_bare(ctx, si, wo, active)
+        )
+
+    def _value_bare(self, ctx: Any, si: Any, wo: Any, active: Any) -> Any:
         if self.nested is not None and not self.own_eval:
             return self.nested.eval(ctx, si, wo, active)
         c = self._condition(si)
@@ -159,9 +188,10 @@ def _on_active_rows(function: Any, columns: Columns, active: Any, outputs: int) 
     return results
 
 
-def offer(key: str, material: Material, method: Method) -> None:
-    """Let a scene file refer to this pair as ``<bsdf type="harness"><string name="key" .../>``."""
-    _MATERIALS[key] = (material, method)
+def offer(key: str, make: Callable[[], SampledBSDF]) -> None:
+    """Let a scene file refer to what ``make`` gives as
+    ``<bsdf type="harness"><string name="key" .../>``."""
+    _PAIRS[key] = make
 
 
-mi.register_bsdf("harness", lambda props: SampledBSDF(*_MATERIALS[props["key"]]))
+mi.register_bsdf("harness", lambda props: _PAIRS[props["key"]]())

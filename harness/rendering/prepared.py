@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -11,6 +12,8 @@ import numpy as np
 from harness.protocol import Material, Method, Unsupported
 from harness.rendering import build, passes, plugin
 from harness.scenes.base import Scene, XmlScene
+
+MakeBSDF = Callable[[Material, Method], plugin.SampledBSDF]
 
 
 @dataclass
@@ -33,22 +36,31 @@ class Prepared:
 
 
 def prepare(
-    scene: Scene | XmlScene, material: Material, method: Method, resolution: int
+    scene: Scene | XmlScene,
+    material: Material,
+    method: Method,
+    resolution: int,
+    sampling: build.Sampling = "bsdf",
+    bsdf: MakeBSDF = plugin.SampledBSDF,
 ) -> Prepared:
-    """The scene with ``material`` sampled by ``method``: direct light by BSDF samples alone."""
+    """The scene with ``material`` sampled by ``method``: direct light.
+
+    By BSDF samples alone (``sampling="bsdf"``), or by those and light samples, weighted by
+    the method's pdf (``"mis"``). ``bsdf`` makes the BSDF of the pair.
+    """
     if not isinstance(scene, XmlScene):
-        bsdf = plugin.SampledBSDF(material, method)
-        return Prepared(build.build(scene, bsdf, resolution), build.integrator(), bsdf)
+        placed = bsdf(material, method)
+        return Prepared(build.build(scene, placed, resolution), build.integrator(sampling), placed)
     # The method is part of the key by identity: two fits of one method are two pairs.
     key = build.scene_key(str(scene.file), material.name, method.name, str(id(method)))
-    plugin.offer(key, material, method)
+    plugin.offer(key, lambda: bsdf(material, method))
     loaded = build.build_xml(scene, key, resolution)
     placed = next(s.bsdf() for s in loaded.shapes() if isinstance(s.bsdf(), plugin.SampledBSDF))
-    return Prepared(loaded, build.integrator(), placed)
+    return Prepared(loaded, build.integrator(sampling), placed)
 
 
 def prepare_native(
-    scene: Scene, material: Material, resolution: int, sampling: str = "mis"
+    scene: Scene, material: Material, resolution: int, sampling: build.Sampling = "mis"
 ) -> Prepared:
     """The scene with the material's own BSDF, sampler and Mitsuba's default execution.
 

@@ -62,11 +62,9 @@ class Worker:
                 self._save(trial, outcome, _utc(), 0.0)
         if not ready:
             return
-        if not ready[0].timed:
-            self._measure(ready, None)
-            return
-        with timing_lock(self.progress.note):
-            self._measure(ready, group.extra)
+        timed = ready[0].timed
+        with timing_lock(self.progress.note, alone=timed):
+            self._measure(ready, group.extra if timed else None)
 
     def _blocked(self, trial: Trial) -> Outcome | None:
         """Why a trial cannot be carried out at all, if so."""
@@ -156,6 +154,9 @@ class Worker:
             out_dir=store.scratch(self.results, trial.hash),
             make=make,
             baseline=trial.method == self.plan.baseline,
+            fit_records={}
+            if fresh
+            else {r["metric"]: r["value"] for r in self.stored[trial.fit].records},
         )
 
     def _material(self, trial: Trial) -> Material:
@@ -251,13 +252,17 @@ def _utc() -> str:
 
 
 @contextmanager
-def timing_lock(note: Callable[[str], None]) -> Iterator[None]:
-    """One timing at a time per machine and user, whatever the results folder."""
+def timing_lock(note: Callable[[str], None], alone: bool = True) -> Iterator[None]:
+    """One timing at a time per machine and user, whatever the results folder, and nothing beside.
+
+    Work that is not timed (``alone`` false) goes on together with other such work.
+    """
+    mode = fcntl.LOCK_EX if alone else fcntl.LOCK_SH
     path = Path(tempfile.gettempdir()) / f"harness-timing-{os.getuid()}.lock"
     with path.open("w") as file:
         try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            fcntl.flock(file, mode | fcntl.LOCK_NB)
         except BlockingIOError:
-            note("waiting: another timing runs on this machine")
-            fcntl.flock(file, fcntl.LOCK_EX)
+            note("waiting: other work of ours runs on this machine")
+            fcntl.flock(file, mode)
         yield

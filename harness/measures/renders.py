@@ -1,0 +1,67 @@
+"""Renders to be timed: one method in one scene, warmed up, its samples filling a time slice."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+from harness.measures.base import Job
+from harness.measures.images import checked
+from harness.measures.timing import Contender, RoundSettings, settle
+from harness.rendering.prepared import Prepared, prepare
+
+
+class RenderSettings(RoundSettings):
+    """``slice_seconds`` of rendering per method and round.
+
+    A method that would need more than ``patience`` seconds for its rounds is not begun.
+    """
+
+    slice_seconds: float = 0.2
+    resolution: int = 96
+    patience: float = 3600.0
+
+
+@dataclass
+class Entrant:
+    """One method's renders of a scene, ``spp`` samples per pixel in each."""
+
+    job: Job
+    prepared: Prepared
+    spp: int = 2
+    errors: list[float] = field(default_factory=list)
+    """Of every timed render: variance of one sample, averaged over the pixels that count."""
+
+    def once(self, number: int) -> float:
+        """Seconds of the render of round ``number``."""
+        seed = 5000 * (self.job.seed + 1) + number
+        rendered = checked(self.prepared.render(self.spp, seed), self.job)
+        self.errors.append(rendered.error(self.prepared.mask))
+        return rendered.seconds
+
+    def contender(self, rival: int | None) -> Contender:
+        """Seconds per sample per pixel."""
+        return Contender(f"{self.job.method.name} render", self.once, self.spp, rival)
+
+
+def enter(job: Job, settings: RenderSettings, notify: Callable[[str], None]) -> Entrant:
+    """Compile, fill caches, and find the samples that fill one slice."""
+    notify(f"{job.method.name}: warm-up")
+    entrant = Entrant(job, prepare(job.scene, job.material, job.method, settings.resolution))
+    _ = entrant.prepared.mask  # made now, not in the first round
+    spent, seeds = 0.0, iter(range(77, 10**6))
+
+    def once() -> float:
+        nonlocal spent
+        rendered = checked(entrant.prepared.render(entrant.spp, next(seeds)), job)
+        spent += rendered.seconds
+        return rendered.seconds
+
+    while True:
+        seconds = settle(once, settings, spent=spent)
+        wanted = int(settings.slice_seconds / (seconds / entrant.spp))
+        grow = wanted > 1.5 * entrant.spp
+        # At least two samples a pixel: one has no variance.
+        entrant.spp = max(2, min(wanted, 8 * entrant.spp))
+        if not grow or spent > settings.warm_up:
+            return entrant

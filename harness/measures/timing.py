@@ -1,0 +1,177 @@
+"""Timing that can be trusted: warm-up, interleaved rounds, paired ratios, and a mark on failure."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from harness.measures.base import Record, Settings
+from harness.stats.intervals import Interval, median_interval, ratio_of_medians
+
+
+class RoundSettings(Settings):
+    """``rounds`` are run in any case; up to ``max_rounds`` (default: twice as many) while an
+    interval is wider than ``tolerance``, its full width over its value. A warm-up ends when
+    two calls in a row agree within ``stable``, or after ``warm_up`` seconds.
+    """
+
+    rounds: int = 12
+    max_rounds: int | None = None
+    tolerance: float = 0.1
+    stable: float = 0.1
+    warm_up: float = 3.0
+
+
+@dataclass(frozen=True)
+class Contender:
+    """One thing to be timed.
+
+    ``once(round)`` does the work with its result forced and returns the seconds that took;
+    ``units`` is how much work that is. ``rival`` is the index of the contender whose time in
+    the same round this one's is divided by, None for one that is compared with nothing.
+    """
+
+    label: str
+    once: Callable[[int], float]
+    units: float = 1.0
+    rival: int | None = None
+
+
+@dataclass
+class Timings:
+    """All times of interleaved rounds: nothing is dropped, and no best is picked."""
+
+    contenders: Sequence[Contender]
+    tolerance: float
+    loadavg: NDArray = field(default_factory=lambda: np.array(os.getloadavg()))
+    """The system's load averages over 1, 5 and 15 minutes when the rounds began."""
+    wall: float = 0.0
+    """Seconds from the first round to the last, the harness's own work included."""
+    _taken: list[dict[int, float]] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        self._taken = [{} for _ in self.contenders]
+
+    def take(self, index: int, number: int) -> None:
+        """Time contender ``index`` in round ``number``."""
+        self._taken[index][number] = self.contenders[index].once(number)
+
+    def seconds(self, index: int) -> NDArray:
+        """Seconds per unit [rounds], in the order of the rounds."""
+        taken = self._taken[index]
+        return np.array([taken[k] for k in sorted(taken)]) / self.contenders[index].units
+
+    def rival_seconds(self, index: int) -> NDArray:
+        """Seconds per unit of the rival in the same rounds; its own for one without a rival."""
+        rival = self.contenders[index].rival
+        other = index if rival is None else rival
+        taken, units = self._taken[other], self.contenders[other].units
+        return np.array([taken[k] for k in sorted(self._taken[index])]) / units
+
+    def median(self, index: int) -> Interval:
+        """Of seconds per unit."""
+        return median_interval(self.seconds(index))
+
+    def ratio(self, index: int) -> Interval:
+        """Median over rounds of this time over the rival's; 1 for one without a rival."""
+        if self.contenders[index].rival is None:
+            # By definition, not measurement: it would be divided by itself.
+            return Interval(1.0, 1.0, 1.0)
+        return ratio_of_medians(self.seconds(index), self.rival_seconds(index))
+
+    def width(self, index: int) -> float:
+        """Full width of the interval of the ratio, or without a rival of the median, over it."""
+        alone = self.contenders[index].rival is None
+        value, low, high = self.median(index) if alone else self.ratio(index)
+        return (high - low) / value
+
+    def disturbed(self, *indices: int) -> list[int]:
+        """Those of ``indices`` whose interval is wider than ``tolerance``, or that have none."""
+        return [i for i in indices if not self.width(i) <= self.tolerance]
+
+    def overhead(self) -> float:
+        """Share of the measuring itself: seconds not spent in what was timed, over those that were.
+
+        The price of taking turns, of checking results and of keeping them.
+        """
+        timed = sum(sum(taken.values()) for taken in self._taken)
+        return self.wall / timed - 1
+
+    def mark(self, *indices: int) -> tuple[Record, str]:
+        """The record ``disturbed`` for a trial made of contenders ``indices``, and its reason."""
+        wide = self.disturbed(*indices)
+        said = [
+            f"{self.contenders[i].label} {self.width(i):.0%} after {len(self.seconds(i))} rounds"
+            for i in wide
+        ]
+        reason = f"disturbed: interval wider than {self.tolerance:.0%}: {', '.join(said)}"
+        return Record("disturbed", float(bool(wide)), unit="1"), reason if wide else ""
+
+
+def interleave(
+    contenders: Sequence[Contender], settings: RoundSettings, notify: Callable[[str], None]
+) -> Timings:
+    """Time all ``contenders`` in rounds whose order rotates, so that drift hits all alike.
+
+    After the planned rounds those whose interval is still too wide go on, each with its rival
+    in the same round, until it is narrow enough or the budget of rounds is spent. All rounds
+    count; stopping when an interval is narrow makes its coverage a little less than 95 %,
+    more rounds than a fixed number make it narrower.
+    """
+    most = 2 * settings.rounds if settings.max_rounds is None else settings.max_rounds
+    timings = Timings(contenders, settings.tolerance)
+    everybody = list(range(len(contenders)))
+    start = now()
+    for number in range(max(settings.rounds, most)):
+        if number < settings.rounds:
+            running, of = everybody, settings.rounds
+        else:
+            wide = timings.disturbed(*everybody)
+            if not wide:
+                break
+            rivals = {contenders[i].rival for i in wide} - {None}
+            running, of = sorted({*wide, *rivals}), most
+        notify(f"timing round {number + 1} of {of}, {len(running)} contenders")
+        turn = number % len(running)
+        for index in running[turn:] + running[:turn]:
+            timings.take(index, number)
+    timings.wall = now() - start
+    return timings
+
+
+def settle(
+    once: Callable[[], float], settings: RoundSettings, tries: int = 20, spent: float = 0.0
+) -> float:
+    """Repeat ``once`` until its time is stable; the last time in seconds.
+
+    ``spent`` seconds of the warm-up are already gone. One call there always is.
+    """
+    last = np.inf
+    for _ in range(tries):
+        seconds = once()
+        spent += seconds
+        if abs(seconds - last) < settings.stable * last or spent > settings.warm_up:
+            return seconds
+        last = seconds
+    return last
+
+
+def now(device: str = "cpu") -> float:
+    """Seconds on a steady clock, after everything that was queued on ``device`` is done."""
+    if device != "cpu":
+        torch.cuda.synchronize(device)
+    return time.perf_counter()
+
+
+def seconds_of(call: Callable[[], object], device: str) -> float:
+    """Seconds of ``call`` and of what it queued on ``device``, without gradients."""
+    start = now(device)
+    with torch.inference_mode():
+        call()
+    return now(device) - start
