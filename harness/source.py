@@ -30,6 +30,7 @@ COUNTED = (
     "harness.scenes",
     "harness.materials",
     "harness.rendering",
+    "harness.check",
     "harness.measures",
 )
 UNCOUNTED = frozenset(

@@ -2,5 +2,17 @@
 
 from __future__ import annotations
 
-TABLES = ("table2", "equal-spp", "pdf", "bias", "timing", "status")
-FIGURES = ("tradeoff", "convergence", "slices", "images")
+TABLES = (
+    "table1",
+    "table2",
+    "equal-spp",
+    "pdf",
+    "bias",
+    "timing",
+    "breakeven",
+    "ranking",
+    "stability",
+    "image-checks",
+    "status",
+)
+FIGURES = ("tradeoff", "pareto", "breakeven", "convergence", "slices", "images", "heatmap")

@@ -15,7 +15,8 @@ class Cell:
     ``value`` with its 95% interval ``low``, ``high``; ``text`` replaces the printed number
     (the value stays in the CSV). ``missing`` says why there is no number: it is printed as a
     dagger with that footnote. ``warning`` is a footnote on a number that is there.
-    ``ceiling``: shown, but takes no part in the contest for bold.
+    ``ceiling``: shown, but takes no part in the contest for bold. ``shade``: "pass",
+    "degraded" or "fail", the colour of a heat map's cell where a format has colours.
     """
 
     value: float | None = None
@@ -27,6 +28,7 @@ class Cell:
     warning: str = ""
     bold: bool = False
     ceiling: bool = False
+    shade: str = ""
 
     def __post_init__(self) -> None:
         no_number = self.value is None or math.isnan(self.value)
@@ -46,9 +48,12 @@ class Cell:
 
 @dataclass(frozen=True)
 class Row:
+    """Cells after a label; ``about`` explains the label where a format has room for that."""
+
     label: str
     cells: list[Cell]
     summary: bool = False
+    about: str = ""
 
 
 @dataclass(frozen=True)

@@ -8,18 +8,24 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from harness.report.figures.breakeven import breakeven
 from harness.report.figures.canvas import Canvas, Drawn
 from harness.report.figures.convergence import convergence
+from harness.report.figures.heatmap import heatmap
 from harness.report.figures.images import images
+from harness.report.figures.pareto import pareto
 from harness.report.figures.slices import slices
 from harness.report.figures.tradeoff import tradeoff
 from harness.report.results import Results
 
 FIGURES: dict[str, Callable[[Results, Canvas], list[Drawn] | str]] = {
     "tradeoff": tradeoff,
+    "pareto": pareto,
+    "breakeven": breakeven,
     "convergence": convergence,
     "slices": slices,
     "images": images,
+    "heatmap": heatmap,
 }
 
 __all__ = ["FIGURES", "Canvas", "Drawn"]

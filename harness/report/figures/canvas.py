@@ -123,7 +123,11 @@ def log_ticks(panel: Axes) -> None:
 
 
 def _tick_label(value: float, _: int) -> str:
-    return f"{value:g}" if 1e-3 <= value < 1e4 else numbers.plain(value, 0)
+    if 1e-3 <= value < 1e4:
+        return f"{value:g}"
+    # Ticks are single digits times a power of ten, or 1.5 of them.
+    power = math.floor(math.log10(value) + 1e-9)
+    return numbers.plain(value, -power if math.isclose(value / 10**power % 1, 0) else 1 - power)
 
 
 def sheet(width: float, height: float) -> tuple[Figure, Axes]:

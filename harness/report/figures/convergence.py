@@ -60,7 +60,8 @@ def _scene(results: Results, canvas: Canvas, scene: str) -> Drawn:
         f"convergence-{scene}" if several else "convergence",
         f"Convergence{f': {scene}' if several else ''}",
         "Mean squared error of the render against samples per pixel and against seconds, both "
-        f"axes logarithmic; scene {scene}. Bands are 95% intervals. An unbiased estimator "
+        f"axes logarithmic; scene {scene}. Bands are 95% intervals of the error, bars those of the "
+        "seconds (all repeats, where there are fewer than six). An unbiased estimator "
         "follows the grey slope of −1; lower and further left is better. What lies below the "
         "noise of the reference is left out."
         + (" A line for each seed." * (results.frame["seed"].nunique() > 1)),
@@ -92,6 +93,9 @@ def _panel(
                 zorder=zorder,
             )  # fmt: skip
             drawn.append((at, mse))
+            if {f"{x}_low", f"{x}_high"} <= arrays.keys():
+                reach = np.abs([arrays[f"{x}_low"] - at, arrays[f"{x}_high"] - at])
+                panel.errorbar(at, mse, xerr=reach, fmt="none", ecolor=style.colour, elinewidth=0.7)
             if {"mse_low", "mse_high"} <= arrays.keys():
                 low, high = arrays["mse_low"], arrays["mse_high"]
                 # A single repeat has no interval.

@@ -10,7 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from harness.report.results import Results
+from harness.report.results import MethodColumn, Results
 
 _DASHED, _DOTTED, _DASH_DOT = (0, (5, 2)), (0, (1, 1.5)), (0, (6, 1.5, 1, 1.5))
 
@@ -50,16 +50,21 @@ _SPARE = (
 
 
 def looks(results: Results) -> dict[str, Look]:
+    """Label -> look, of all methods."""
+    return looks_of(results.methods)
+
+
+def looks_of(methods: list[MethodColumn]) -> dict[str, Look]:
     """Label -> look. Known names have their own; variants and newcomers take spare ones."""
     chosen: dict[str, Look] = {}
     taken: set[str] = set()
     # A label that is the registry name comes first, so that a variant cannot take its look.
-    for method in sorted(results.methods, key=lambda m: m.label != m.name):
+    for method in sorted(methods, key=lambda m: m.label != m.name):
         if method.name in _KNOWN and method.name not in taken:
             chosen[method.label] = _KNOWN[method.name]
             taken.add(method.name)
     spare = 0
-    for method in results.methods:
+    for method in methods:
         if method.label not in chosen:
             chosen[method.label] = _SPARE[spare % len(_SPARE)]
             spare += 1

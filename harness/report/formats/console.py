@@ -14,6 +14,7 @@ from harness.report.table import Cell, Footnotes, Section, Table
 
 _GAP = 2
 """Spaces between columns: one of the grid, one of padding; the latter goes in compact form."""
+_SHADES = {"pass": "blue", "degraded": "dark_orange", "fail": "bold white on dark_orange3"}
 _HEADING, _NARROW = 10, 7
 """Characters a line of a heading, and in compact form."""
 
@@ -105,7 +106,8 @@ def _text(cell: Cell, notes: Footnotes, compact: bool) -> Text:
     if cell.missing:
         return Text(f"†{notes.number(cell.missing)}", style="yellow")
     value, interval = cell.parts
-    text = Text(value, style="bold green" if cell.bold else "italic" if cell.ceiling else "")
+    plain = "bold green" if cell.bold else "italic" if cell.ceiling else ""
+    text = Text(value, style=_SHADES.get(cell.shade, plain))
     if cell.warning:
         text.append(f"‡{notes.number(cell.warning)}", style="yellow")
     if interval:

@@ -38,7 +38,8 @@ def _grid(table: Table, section: Section, notes: Footnotes) -> str:
     for row in section.rows:
         start = "<tr class=summary>" if row.summary else "<tr>"
         cells = "".join(_cell(cell, notes) for cell in row.cells)
-        rows.append(f"{start}<th scope=row>{escape(row.label)}</th>{cells}</tr>")
+        title = f' title="{escape(row.about, quote=True)}"' if row.about else ""
+        rows.append(f"{start}<th scope=row{title}>{escape(row.label)}</th>{cells}</tr>")
     body = "\n".join(rows)
     return (
         f'<div class="scroll" tabindex="0"><table{kind}>'
@@ -63,7 +64,8 @@ def _cell(cell: Cell, notes: Footnotes) -> str:
         )
     if interval:
         value += f"<small>{interval}</small>"
-    return f"<td>{value}</td>"
+    shade = f' class="{escape(cell.shade, quote=True)}"' if cell.shade else ""
+    return f"<td{shade}>{value}</td>"
 
 
 def _breakable(heading: str) -> str:

@@ -7,16 +7,26 @@ from collections.abc import Callable
 from harness.report.results import Results
 from harness.report.table import Table
 from harness.report.tables.bias import bias
+from harness.report.tables.breakeven import breakeven
+from harness.report.tables.image_checks import image_checks
 from harness.report.tables.pdf import pdf
+from harness.report.tables.ranking import ranking
 from harness.report.tables.speedup import equal_spp, table2
+from harness.report.tables.stability import stability
 from harness.report.tables.status import status
+from harness.report.tables.table1 import table1
 from harness.report.tables.timing import timing
 
 TABLES: dict[str, Callable[[Results], Table | str]] = {
+    "table1": table1,
     "table2": table2,
     "equal-spp": equal_spp,
     "pdf": pdf,
     "bias": bias,
     "timing": timing,
+    "breakeven": breakeven,
+    "ranking": ranking,
+    "stability": stability,
+    "image-checks": image_checks,
     "status": status,
 }

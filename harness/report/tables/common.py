@@ -116,6 +116,10 @@ def _mean_cell(
         combined = mean(list(known.values()), len(numbers))
     except ValueError as error:
         return Cell(missing=str(error), ceiling=method.ceiling)
-    doubtful = [material for material in known if warning(material, method)]
-    said = f"biased on {', '.join(doubtful)}" if doubtful else ""
-    return cell(combined, method, suffix, "; ".join(x for x in (combined.note, said) if x))
+    doubtful: dict[str, list[str]] = {}
+    for material in known:
+        # A warning begins with what is wrong: biased, disturbed.
+        for part in filter(None, warning(material, method).split("; ")):
+            doubtful.setdefault(part.partition(":")[0], []).append(material)
+    said = [f"{what} on {', '.join(where)}" for what, where in doubtful.items()]
+    return cell(combined, method, suffix, "; ".join(filter(None, (combined.note, *said))))

@@ -6,8 +6,10 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from harness.report.combine import Estimate, geometric_mean, ratio
+from harness.report.marks import disturbed
+from harness.report.published import neusample
 from harness.report.results import MethodColumn, Results
-from harness.report.table import Row, Section, Table
+from harness.report.table import Cell, Row, Section, Table
 from harness.report.tables.bias import bias_warnings
 from harness.report.tables.common import as_baseline, circumstances, legend, material_rows
 
@@ -20,9 +22,10 @@ def table2(results: Results) -> Table | str:
         "The runtime that {baseline} needs for equal quality over the runtime of the method: "
         "(variance × seconds per sample) of the one over that of the other (×, higher is better)."
     )
-    return _speedups(
+    table = _speedups(
         results, "table2", "Speed-up at equal time", "speedup-equal-time", caption, timed=True
     )
+    return table if isinstance(table, str) else _beside_the_paper(table, results)
 
 
 def equal_spp(results: Results) -> Table | str:
@@ -34,6 +37,42 @@ def equal_spp(results: Results) -> Table | str:
     return _speedups(
         results, "equal-spp", "Improvement at equal samples", "speedup-equal-spp", caption
     )
+
+
+def _beside_the_paper(table: Table, results: Results) -> Table:
+    """The table with the paper's own below, under its names of materials; nothing is mixed."""
+    paper = neusample()
+    columns = [paper.speed_ups(method.name) for method in results.methods]
+    if not any(columns):
+        return table
+    absent = f"not in {paper.table2['number']} of {paper.short}"
+    rows = [
+        Row(
+            material,
+            [
+                Cell(found[material], text=_as_published(found[material]), ceiling=method.ceiling)
+                if found
+                else Cell(missing=absent, ceiling=method.ceiling)
+                for found, method in zip(columns, results.methods, strict=True)
+            ],
+        )
+        for material in paper.table2["rows"]
+    ]
+    number = paper.table2["number"]
+    return replace(
+        table,
+        sections=[*table.sections, Section(f"{paper.short}, {number}, as published", rows)],
+        legend=[
+            *table.legend,
+            f"{paper.short}: {paper.table2['about']}. Its materials are others than ours, and it "
+            f"gives no intervals. {paper.citation}.",
+        ],
+    )
+
+
+def _as_published(value: float) -> str:
+    """With the paper's own digits."""
+    return "1×" if value == 1 else f"{value:.2f}×"
 
 
 def _speedups(
@@ -87,6 +126,11 @@ def _rows(
             return Estimate(1.0, 1.0, 1.0)
         return found
 
+    def mark(material: str, method: str) -> str:
+        # Only the time of a speed-up can be disturbed; the baseline's own is 1 by definition.
+        timed = metric == "speedup-equal-time" and method != results.baseline
+        return disturbed(results, [measure], material, method, scene) if timed else ""
+
     rows = material_rows(
         results,
         number,
@@ -94,7 +138,9 @@ def _rows(
         geometric_mean,
         "geometric mean",
         suffix="×",
-        warning=lambda material, method: warnings(material, method.label, scene),
+        warning=lambda material, method: "; ".join(
+            filter(None, (warnings(material, method.label, scene), mark(material, method.label)))
+        ),
     )
     return [_with_baseline(row, results) for row in rows]
 

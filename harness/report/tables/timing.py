@@ -7,6 +7,7 @@ from statistics import median
 
 from harness.report import numbers
 from harness.report.combine import Estimate, geometric_mean
+from harness.report.marks import disturbed
 from harness.report.quantities import nanoseconds_per_sample, scaled
 from harness.report.results import MethodColumn, Results
 from harness.report.table import Cell, Row, Section, Table
@@ -73,7 +74,16 @@ def _render_cells(results: Results, method: MethodColumn, scene: str) -> list[Ce
         per_spp = results.number("equal-time", "seconds-per-spp", *at)
         milliseconds.append(per_spp if isinstance(per_spp, str) else scaled(per_spp, 1e3))
         nanoseconds.append(nanoseconds_per_sample(results, *at))
-    return [cell(_mean(numbers), method) for numbers in (milliseconds, nanoseconds)]
+    marks = {
+        m: disturbed(results, ["equal-time"], m, method.label, scene) for m in results.materials
+    }
+    mark = "; ".join(f"{material}: {said}" for material, said in marks.items() if said)
+    return [_marked(_mean(numbers), method, mark) for numbers in (milliseconds, nanoseconds)]
+
+
+def _marked(number: Estimate | str, method: MethodColumn, mark: str) -> Cell:
+    note = number.note if isinstance(number, Estimate) else ""
+    return cell(number, method, warning="; ".join(part for part in (mark, note) if part))
 
 
 def _mean(found: list[Estimate | str]) -> Estimate | str:

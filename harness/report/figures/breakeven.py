@@ -1,0 +1,119 @@
+"""Total time to a given error against samples: straight lines, and where they cross."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.ticker import LogFormatterMathtext
+
+from harness.report.breakeven import TIMES, CostLine, Costs, costs, timed_scenes
+from harness.report.figures.canvas import Canvas, Drawn, grid_shape, log_ticks, styled
+from harness.report.figures.palette import Look, looks
+from harness.report.results import Results
+
+_POINTS = 60
+_RANGE = (1e5, 1e9)
+"""Samples shown in any case; wider where crossings lie outside."""
+
+
+def breakeven(results: Results, canvas: Canvas) -> list[Drawn] | str:
+    """A figure per scene, a panel per material."""
+    scenes = timed_scenes(results)
+    if not scenes:
+        return f"no trial of the measures {' or '.join(TIMES)} is stored"
+    found = {s: {m: costs(results, m, s) for m in results.materials} for s in scenes}
+    good = {
+        scene: {m: c for m, c in panels.items() if isinstance(c, Costs)}
+        for scene, panels in found.items()
+    }
+    with styled():
+        drawn = [
+            _scene(results, canvas, scene, panels, len(scenes) > 1)
+            for scene, panels in good.items()
+            if panels
+        ]
+    return drawn or "no material has a variance and a time of the baseline"
+
+
+def _scene(
+    results: Results, canvas: Canvas, scene: str, panels: dict[str, Costs], several: bool
+) -> Drawn:
+    look = looks(results)
+    shown = [m for m in results.methods if any(m.label in c.lines for c in panels.values())]
+    rows, columns = grid_shape(len(panels))
+    legend_columns = min(len(shown) + 1, max(2, round(1.5 * columns)))
+    legend_height = 0.2 * -(-(len(shown) + 1) // legend_columns) + 0.15
+    height = rows * 2.7 + legend_height + 0.2
+    figure = Figure(figsize=(max(3.0 * columns, 4.6), height), layout="constrained")
+    figure.get_layout_engine().set(rect=(0, legend_height / height, 1, 1 - legend_height / height))
+    grid = figure.subplots(rows, columns, squeeze=False)
+    for panel in grid.flat:
+        panel.set_visible(False)
+    for i, (material, found) in enumerate(panels.items()):
+        panel = grid.flat[i]
+        panel.set_visible(True)
+        _panel(panel, found, look)
+        panel.set_title(material)
+        panel.set_xlabel(f"samples of {found.reference}")
+        if i % columns == 0:
+            panel.set_ylabel("seconds to its error")
+    handles = [
+        Line2D([], [], color=look[m.label].colour, ls=look[m.label].dash, lw=1.3, label=m.label)
+        for m in shown
+    ]
+    handles.append(
+        Line2D([], [], color="#555555", marker="o", mfc="white", ls="", ms=4, label="crossing")
+    )
+    figure.legend(handles=handles, loc="lower center", ncols=legend_columns, handlelength=3.2)
+    return canvas.save(
+        figure,
+        f"breakeven-{scene}" if several else "breakeven",
+        f"Break-even{f': {scene}' if several else ''}",
+        "Total time (fit, load, then samples) to the error that so many samples of "
+        f"{results.baseline} reach, over all pixels of the scene {scene}; both axes logarithmic, "
+        "bands are 95% intervals. Circles mark where a method's line crosses the baseline's.",
+    )
+
+
+def _panel(panel: Axes, found: Costs, look: dict[str, Look]) -> None:
+    panel.set_xscale("log")
+    panel.set_yscale("log")
+    panel.grid(True, which="major")
+    base = found.lines.get(found.reference)
+    crossings = {
+        label: line.against(base).at
+        for label, line in found.lines.items()
+        if base is not None and label != found.reference
+    }
+    inside = [at for at in crossings.values() if 0 < at < math.inf]
+    low, high = min([_RANGE[0], *inside]) / 2, max([_RANGE[1], *inside]) * 2
+    samples = np.geomspace(low, high, _POINTS)
+    for label, line in found.lines.items():
+        style = look[label]
+        zorder = 2 if line.method.ceiling else 3
+        panel.plot(
+            samples, line.fixed[0] + samples * line.slope[0],
+            color=style.colour, ls=style.dash, lw=1.1, zorder=zorder,
+        )  # fmt: skip
+        panel.fill_between(samples, *_band(line, samples), color=style.colour, alpha=0.15, lw=0)
+    for label, at in crossings.items():
+        if 0 < at < math.inf:
+            panel.plot(
+                at, found.lines[label].total(at)[0], marker="o", mfc="white", ms=4,
+                mec=look[label].colour, zorder=4,
+            )  # fmt: skip
+    panel.set_xlim(low, high)
+    log_ticks(panel)
+    for axis in (panel.xaxis, panel.yaxis):
+        # Many decades: powers of ten are shorter than numbers.
+        axis.set_major_formatter(LogFormatterMathtext())
+
+
+def _band(line: CostLine, samples: np.ndarray) -> np.ndarray:
+    """2.5 and 97.5 percentiles of the total, [2, P]."""
+    totals = line.fixed[1:, None] + samples * line.slope[1:, None]
+    return np.percentile(totals, [2.5, 97.5], axis=0)

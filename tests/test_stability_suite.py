@@ -1,0 +1,425 @@
+"""The measure, the suite, the table and the figure of numerical stability."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from collections.abc import Iterator
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from matplotlib.colors import to_hex
+from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
+from rich.console import Console
+
+from harness import load_results, store
+from harness.check.catalogue import CATALOGUE
+from harness.check.finding import Finding
+from harness.check.run import CASE_ALARM, FALSE_ALARM
+from harness.jsonfile import read_json
+from harness.measures import registry as measures
+from harness.measures import stability
+from harness.measures.base import Outcome, Record
+from harness.protocol import Budget, InputError, Unsupported
+from harness.report import make, print_tables
+from harness.report.figures import FIGURES, Canvas
+from harness.report.figures.heatmap import _FACE
+from harness.report.formats.csv import csv as as_csv
+from harness.report.formats.html import html
+from harness.report.formats.latex import latex
+from harness.report.formats.markdown import markdown
+from harness.report.results import Results
+from harness.report.table import Cell, Table
+from harness.report.tables import TABLES
+from harness.report.verdicts import case_rows
+from harness.runner.run import Options
+from harness.runner.run import run as run_plan
+from harness.suite.load import load
+from harness.suite.plan import make_plan
+from tests import report_results
+from tests.report_results import Made
+
+# --- the measure ---------------------------------------------------------------------------------
+
+
+def case_of(name: str, material: str = "suede") -> SimpleNamespace:
+    return SimpleNamespace(name=name, group="lobe", about=f"about {name}", material=material)
+
+
+def found(name: str, verdict: str = "pass", number: float | None = None, **more: Any) -> Finding:
+    return Finding(name, "case", verdict, f"{name} says {verdict}", number=number, **more)
+
+
+@pytest.fixture
+def catalogue(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
+    """Three cases in place of the catalogue; what each finds, or raises, is in ``answers``."""
+    known = {c.name: c for c in (case_of("one"), case_of("other", "rim-lobe"), case_of("two"))}
+    answers: dict[str, Any] = {name: [found("integral")] for name in known}
+    asked: list[tuple[str, float, int]] = []
+
+    def run_case(fitted, blank, material, case, seed, *, device, alpha):
+        asked.append((case.name, alpha, seed))
+        if isinstance(answers[case.name], Exception):
+            raise answers[case.name]
+        return answers[case.name]
+
+    monkeypatch.setattr(stability, "CATALOGUE", known)
+    monkeypatch.setattr(stability, "run_case", run_case)
+    return {"answers": answers, "asked": asked}
+
+
+def measured(folder: Path, material: str = "suede", **settings: Any) -> Outcome:
+    job = SimpleNamespace(
+        method=object(),
+        make=object,
+        material=SimpleNamespace(name=material),
+        seed=7,
+        budget=Budget(),
+        out_dir=folder,
+        settings=measures.settings("stability", settings),
+    )
+    (outcome,) = measures.make("stability").run([job], print)
+    return outcome
+
+
+def numbers(outcome: Outcome) -> dict[str, float]:
+    return {record.metric: record.value for record in outcome.records}
+
+
+def test_only_the_cases_of_the_material_are_run(catalogue, tmp_path: Path):
+    outcome = measured(tmp_path)
+    assert outcome.status == "ok" and numbers(outcome) == {"one": 0.0, "two": 0.0}
+    assert catalogue["asked"] == [("one", CASE_ALARM, 7), ("two", CASE_ALARM, 7)]
+    assert numbers(measured(tmp_path, "rim-lobe")) == {"other": 0.0}
+    assert numbers(measured(tmp_path, cases=["two"])) == {"two": 0.0}
+    with pytest.raises(Unsupported, match="no hard case .* asks for brocade"):
+        measured(tmp_path, "brocade")
+    with pytest.raises(Unsupported):
+        measured(tmp_path, cases=["other"])
+
+
+def test_the_worst_verdict_counts_and_the_worst_numbers_are_recorded(catalogue, tmp_path: Path):
+    catalogue["answers"]["one"] = [
+        found("weights", number=0.4, unit="efficiency"),
+        found("weights", "degraded", 0.002, unit="efficiency"),
+        found("coverage", number=1e-6, unit="1"),
+        found("coverage", number=3e-5, unit="1"),
+        found("tail-index", number=5.0),
+        found("tail-index", number=3.0),
+        found("largest-weight", number=math.inf),
+        found("invalid", number=math.nan),
+        found("gradients", "skip"),
+    ]
+    catalogue["answers"]["two"] = [found("weights", "degraded", 0.005), found("integral", "fail")]
+    outcome = measured(tmp_path)
+    assert numbers(outcome) == {
+        "one": 1.0,
+        "one/efficiency": 0.002,
+        "one/lost": 3e-5,
+        "one/tail-index": 3.0,
+        "one/largest-weight": math.inf,
+        "two": 2.0,
+        "two/efficiency": 0.005,
+    }
+    units = {record.metric: record.unit for record in outcome.records}
+    assert (units["one"], units["one/efficiency"]) == ("verdict", "efficiency")
+
+
+def test_an_adapter_that_raises_fails_the_case_and_not_the_trial(catalogue, tmp_path: Path):
+    catalogue["answers"]["one"] = ValueError("two\nlines")
+    outcome = measured(tmp_path)
+    assert outcome.status == "ok" and numbers(outcome) == {"one": 2.0, "two": 0.0}
+    stored = read_json(tmp_path / "findings.json")["cases"]
+    assert stored[0]["findings"][0]["text"] == "raised ValueError: two lines"
+
+
+def test_a_case_that_does_not_apply_has_a_reason_and_no_number(catalogue, tmp_path: Path):
+    catalogue["answers"]["one"] = [found("state", "skip")]
+    catalogue["answers"]["two"] = []
+    assert measured(tmp_path).records == []
+    stored = read_json(tmp_path / "findings.json")["cases"]
+    assert [case["verdict"] for case in stored] == ["skip", "skip"]
+    assert [case["findings"][0]["text"] for case in stored] == [
+        "state says skip",
+        "no property applies",
+    ]
+
+
+def test_findings_are_stored_with_their_place_and_their_worst_input(catalogue, tmp_path: Path):
+    worst = {"wo": "(0.6, 0.8)", "got": "nan"}
+    catalogue["answers"]["two"] = [found("pdf-finite", "fail", math.nan, worst=worst)]
+    measured(tmp_path)
+    stored = read_json(tmp_path / "findings.json")
+    assert stored["case_alarm"] == CASE_ALARM
+    first, second = stored["cases"]
+    assert (first["position"], second["position"]) == (0, 2)
+    assert (second["case"], second["group"], second["about"]) == ("two", "lobe", "about two")
+    assert second["findings"][0]["worst"] == worst and second["findings"][0]["number"] == "nan"
+
+
+def test_an_unknown_case_is_refused_with_the_nearest(catalogue):
+    with pytest.raises(InputError, match="no hard case 'oone' .did you mean 'one'"):
+        measures.settings("stability", {"cases": ["oone"]})
+    with pytest.raises(InputError, match="cases"):
+        measures.settings("stability", {"cases": "one"})
+
+
+# --- the suite -----------------------------------------------------------------------------------
+
+
+def test_the_suite_covers_the_catalogue_and_every_method_of_table2():
+    plan = make_plan(load("stability"))
+    assert set(plan.labels("material")) == {case.material for case in CATALOGUE.values()}
+    assert plan.labels("method") == [method.label for method in load("table2").suite.methods]
+    assert 1 - (1 - CASE_ALARM) ** (len(plan.labels("method")) * len(CATALOGUE)) < FALSE_ALARM
+    trials = [trial for trial in plan.trials if trial.measure == "stability"]
+    assert len(trials) == len(plan.labels("material")) * len(plan.labels("method"))
+    assert not any(trial.timed for trial in trials)
+
+
+def test_the_hash_covers_the_checks():
+    text = measures.source("stability")
+    for name in ("catalogue", "run", "weights", "quadrature"):
+        assert f"# harness.check.{name}\n" in text
+
+
+def test_a_run_gives_a_verdict_on_a_real_case(tmp_path: Path):
+    (tmp_path / "tiny.yaml").write_text(
+        "name: tiny\nmaterials: [constant]\nmethods: [cosine]\nmeasures: [stability]\n"
+        "report: {tables: [stability], figures: [heatmap]}\n"
+    )
+    plan = make_plan(load(tmp_path / "tiny.yaml"))
+    assert run_plan(plan, tmp_path / "out", Options(), Console(file=io.StringIO())) == 0
+    frame = load_results(tmp_path / "out")
+    names = [name for name, case in CATALOGUE.items() if case.material == "constant"]
+    verdicts = frame[frame["metric"].isin(names)]
+    assert names and list(verdicts["value"]) == [0.0] * len(names)
+    # Cosine is exact for a constant reflectance: every weight is the same.
+    efficiency = frame[frame["metric"] == f"{names[0]}/efficiency"]["value"]
+    assert efficiency.item() == pytest.approx(1.0, abs=1e-5)
+    assert {path.stem for path in make(tmp_path / "out")} >= {"index", "stability", "heatmap"}
+
+
+# --- the report ----------------------------------------------------------------------------------
+
+PLACES = {"normal": 0, "grazing": 1, "specular": 2, "constant": 3, "untrained": 4}
+GROUPS = {"specular": "lobe", "constant": "lobe", "untrained": "state"}
+METHODS = ["cosine", "histogram", "native", "tabulated"]
+Cases = dict[str, tuple[str, list[dict[str, Any]]]]
+
+
+def said(prop: str, verdict: str, number: float | None = None, **worst: str) -> dict[str, Any]:
+    return {
+        "property": prop,
+        "case": "",
+        "verdict": verdict,
+        "text": f"{prop} of it",
+        "worst": worst,
+        "number": number,
+        "unit": "",
+    }
+
+
+class Folder(Made):
+    """A results folder whose stability trials hold ``findings[(material, method, seed)]``."""
+
+    findings: dict[tuple[str, str, int], Cases]
+
+    def _trial(self, folder, measure, material, method, scene, seed):
+        row = super()._trial(folder, measure, material, method, scene, seed)
+        if measure == "stability" and store.load_trial(folder, row["trial"]).status == "ok":
+            cases = [
+                {
+                    "case": name,
+                    "group": GROUPS.get(name, "direction"),
+                    "about": f"what <{name}> is",
+                    "position": PLACES[name],
+                    "verdict": verdict,
+                    "findings": behind,
+                }
+                for name, (verdict, behind) in self.findings[material, method, seed].items()
+            ]
+            data = {"case_alarm": 1e-6, "cases": cases}
+            store.write_json(folder / row["trial"] / "findings.json", data)
+        return row
+
+    def _stability(self, random, chi2, variance, seconds, material, method) -> Outcome:
+        return Outcome(records=[Record("normal", 0.0, unit="verdict")])
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """Every kind of verdict: two seeds of suede, a lobe, a fit that broke down."""
+    fine: Cases = {"untrained": ("pass", []), "normal": ("pass", []), "grazing": ("pass", [])}
+    bad = said("samples-pdf", "fail", wo="(0.6, 0.8)", got="nan")
+    findings: dict[tuple[str, str, int], Cases] = {
+        ("suede", method, seed): dict(fine) for method in METHODS for seed in (0, 1)
+    }
+    findings["suede", "cosine", 1]["grazing"] = (
+        "degraded",
+        [said("integral", "pass"), said("weights", "degraded", 0.0031)],
+    )
+    findings["suede", "histogram", 0]["untrained"] = ("fail", [bad, said("weights", "degraded", 0)])
+    findings["suede", "tabulated", 0]["untrained"] = ("skip", [said("state", "skip")])
+    for seed in (0, 1):
+        findings["specular", "cosine", seed] = {
+            "specular": ("degraded", [said("weights", "degraded", 2.2e-7)])
+        }
+        findings["specular", "tabulated", seed] = {
+            "specular": ("degraded", [said("tail-index", "degraded", 1.25)])
+        }
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(report_results, "SCENELESS", (*report_results.SCENELESS, "stability"))
+        made = Folder(
+            materials=["suede", "specular", "constant"],
+            methods=METHODS,
+            measures=("fit", "stability"),
+            seeds=(0, 1),
+            fail={
+                (None, "native", "specular"): ("unsupported", "no sampler of its own"),
+                ("fit", "histogram", "specular"): ("error", "it burned"),
+                ("stability", "histogram", "specular"): ("skipped", "the fit ended as error"),
+                (None, None, "constant"): ("unsupported", "not today"),
+            },
+        )
+        made.findings = findings
+        yield made.write(tmp_path_factory.mktemp("stability"))
+
+
+def the_table(folder: Path) -> Table:
+    table = TABLES["stability"](Results.load(folder))
+    assert isinstance(table, Table)
+    return table
+
+
+def cells(table: Table) -> dict[tuple[str, str], Cell]:
+    return {
+        (row.label, column): cell
+        for section in table.sections[1:]
+        for row in section.rows
+        for column, cell in zip(table.columns, row.cells, strict=True)
+    }
+
+
+def test_rows_are_cases_in_the_order_and_groups_of_the_catalogue(folder: Path):
+    table = the_table(folder)
+    assert table.columns == METHODS
+    layout = [(s.title, [row.label for row in s.rows]) for s in table.sections]
+    assert layout == [
+        ("all cases", ["pass", "degraded", "FAIL", "no answer"]),
+        ("direction", ["normal", "grazing"]),
+        ("lobe", ["specular"]),
+        ("state", ["untrained"]),
+        # No method has a trial, so that the material's cases are not known.
+        ("cases unknown", ["constant"]),
+    ]
+
+
+def test_cells_tell_pass_degraded_fail_and_no_answer(folder: Path):
+    found = cells(the_table(folder))
+    assert found["normal", "cosine"].text == "pass" and not found["normal", "cosine"].warning
+    # The worst of two seeds.
+    assert found["grazing", "cosine"].text == "eff 0.31 %"
+    assert found["grazing", "cosine"].warning == "grazing, cosine: weights: weights of it"
+    assert found["specular", "cosine"].text == "eff 2.2e−7"
+    assert found["specular", "tabulated"].text == "tail 1.25"
+    failed = found["untrained", "histogram"]
+    assert (failed.text, failed.value, failed.shade) == ("FAIL", 2.0, "fail")
+    assert failed.warning.endswith("samples-pdf of it; worst input: wo (0.6, 0.8), got nan")
+    assert found["specular", "native"].missing == "unsupported: no sampler of its own"
+    assert found["constant", "cosine"].missing == "unsupported: not today"
+    # One of two seeds had an answer.
+    assert found["untrained", "tabulated"].text == "pass"
+
+
+def test_a_fit_that_breaks_down_is_a_failure_not_a_dagger(folder: Path):
+    failed = cells(the_table(folder))["specular", "histogram"]
+    assert (failed.text, failed.missing) == ("FAIL", "")
+    assert failed.warning == "specular, histogram: fit error: it burned"
+
+
+def test_the_summary_counts_every_cell_once(folder: Path):
+    table = the_table(folder)
+    counts = np.array([[cell.value for cell in row.cells] for row in table.sections[0].rows])
+    assert counts.sum(0).tolist() == [5.0] * len(METHODS)
+    assert counts.tolist() == [[2, 2, 3, 3], [2, 0, 0, 1], [0, 2, 0, 0], [1, 1, 2, 1]]
+
+
+def test_every_format_tells_them_apart(folder: Path):
+    table = the_table(folder)
+    page = html(table)
+    for shade, count in (("pass", 10), ("degraded", 3), ("fail", 2)):
+        summary = sum(bool(c.shade == shade) for r in table.sections[0].rows for c in r.cells)
+        assert page.count(f'<td class="{shade}">') == count + summary
+    assert '<th scope=row title="what &lt;grazing&gt; is">grazing</th>' in page
+    assert "FAIL ‡" in markdown(table)
+    assert r"FAIL$^{\ddagger" in latex(table) and "†" not in latex(table)
+    rows = list(csv.DictReader(io.StringIO(as_csv(table))))
+    by_place = {(row["row"], row["column"]): row for row in rows}
+    assert by_place["specular", "cosine"]["value"] == "1.0"
+    assert by_place["specular", "native"]["value"] == "nan"
+    # Twenty-eight cases are stored, at a level of 1e-6 each.
+    assert "at most 2.8e−5" in table.caption
+
+
+def test_the_console_prints_reasons(folder: Path):
+    out = io.StringIO()
+    print_tables(folder, Console(file=out, width=120))
+    text = out.getvalue()
+    assert "eff 0.31 %" in text and "samples-pdf of it" in text and "fit error: it burned" in text
+
+
+def test_the_figure_has_a_cell_for_each_with_the_colour_of_its_verdict(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    kept: list[Figure] = []
+    save = Canvas.save
+    monkeypatch.setattr(Canvas, "save", lambda s, f, *a: kept.append(f) or save(s, f, *a))
+    results = Results.load(folder)
+    (drawn,) = FIGURES["heatmap"](results, Canvas(tmp_path))
+    assert {path.suffix for path in drawn.files} == {".png", ".pdf"}
+    axes = kept[0].axes[0]
+    patches = [p for p in axes.patches if isinstance(p, Rectangle)]
+    plain = [p for p in patches if not p.get_hatch()]
+    rows = case_rows(results)
+    for verdict, face in _FACE.items():
+        wanted = sum(entry.verdict == verdict for row in rows for entry in row.entries)
+        assert sum(to_hex(p.get_facecolor()) == face for p in plain) == wanted
+    words = [text.get_text() for text in axes.texts]
+    assert words.count("FAIL") == 2 and "eff 0.31 %" in words and "lobe" in words
+    hatched = [p for p in patches if p.get_hatch()]
+    assert len(hatched) == sum(e.verdict == "skip" for row in rows for e in row.entries)
+
+
+def test_words_of_the_figure_stay_in_their_places(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    kept: list[Figure] = []
+    save = Canvas.save
+    monkeypatch.setattr(Canvas, "save", lambda s, f, *a: kept.append(f) or save(s, f, *a))
+    FIGURES["heatmap"](Results.load(folder), Canvas(tmp_path))
+    (figure,) = kept
+    extent = figure.bbox
+    texts = [t for t in figure.axes[0].texts if t.get_text()]
+    boxes = [t.get_window_extent() for t in texts] + [figure.legends[0].get_window_extent()]
+    for box in boxes:
+        assert extent.x0 <= box.x0 and box.x1 <= extent.x1
+        assert extent.y0 <= box.y0 and box.y1 <= extent.y1
+    overlaps = [
+        (texts[i].get_text(), texts[j].get_text())
+        for i in range(len(texts))
+        for j in range(i)
+        if boxes[i].overlaps(boxes[j])
+    ]
+    assert overlaps == []
+
+
+def test_a_folder_without_the_measure_says_so(tmp_path: Path):
+    results = Results.load(Made(materials=["suede"], measures=("fit",)).write(tmp_path))
+    assert "no trial of the measure stability" in TABLES["stability"](results)
+    assert "no trial of the measure stability" in FIGURES["heatmap"](results, Canvas(tmp_path))
