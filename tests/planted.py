@@ -31,6 +31,21 @@ class Plaster(Material):
         return {"type": "plaster"}
 
 
+class Soot(Plaster):
+    """Plaster, half of which is black: one feature says so."""
+
+    name = "soot"
+    n_features = 1
+
+    def places(self, uv: Tensor) -> Tensor:
+        """0 on the black half, 1 on the other."""
+        return (uv[:, :1] > 0.5).to(uv.dtype)
+
+    def eval(self, condition: Tensor, wo: Tensor) -> Tensor:
+        """Exactly 0 on the black half."""
+        return super().eval(condition, wo) * condition[:, :1]
+
+
 class Correct(Method):
     """A uniform disk and two Gaussian lobes: one at the mirrored direction, a narrow one of 1 %."""
 
@@ -59,6 +74,7 @@ class Correct(Method):
 
     def sample(self, condition: Tensor, u: Tensor) -> DiskSample:
         """See :meth:`Method.sample`."""
+        condition, u = condition.float(), u.float()
         wo = self.draw(condition, u)
         return DiskSample(wo, self.pdf(condition, wo))
 
@@ -81,12 +97,25 @@ class Correct(Method):
 
     def pdf(self, condition: Tensor, wo: Tensor) -> Tensor:
         """See :meth:`Method.pdf`."""
+        condition, wo = condition.float(), wo.float()
         density = torch.where(inside_disk(wo), self.weights[0] / math.pi, 0)
         off = wo[:, None] - self.centres(condition)
         for k, sigma in enumerate(self.sigmas):
             norm = self.weights[k + 1] / (2 * math.pi * sigma**2)
             density = density + norm * torch.exp(-0.5 * (off[:, k] / sigma).square().sum(-1))
         return density
+
+
+class Bare(Correct):
+    """Correct, and without the uniform share: its density falls to 1e-30 inside the disk."""
+
+    name = "bare"
+    weights = (0.0, 0.99, 0.01)
+    sigmas = (0.17, 0.02)
+
+    def draw(self, condition: Tensor, u: Tensor, share: tuple[float, ...] = weights) -> Tensor:
+        """Directions [N, 2]."""
+        return super().draw(condition, u, share)
 
 
 class PdfTooLarge(Correct):
@@ -233,6 +262,66 @@ class WrongShape(Correct):
         return super().pdf(condition, wo)[:, None]
 
 
+class ClampsTail(Bare):
+    """Draws no point of a lobe beyond 3.5 deviations: those that would be are put there."""
+
+    name = "clamps-tail"
+
+    def draw(self, condition: Tensor, u: Tensor, share: tuple[float, ...] = Bare.weights) -> Tensor:
+        """As if by a table of the inverse that ends early."""
+        return super().draw(condition, u.clamp(max=1 - math.exp(-0.5 * 3.5**2)), share)
+
+
+class FloorsPdf(Bare):
+    """Reports at least 1e-4 inside the disk, so that nothing is ever divided by zero."""
+
+    name = "floors-pdf"
+
+    def pdf(self, condition: Tensor, wo: Tensor) -> Tensor:
+        """See :meth:`Method.pdf`."""
+        density = super().pdf(condition, wo)
+        return torch.where(inside_disk(wo), density.clamp(min=1e-4), density)
+
+
+class DropsLargeWeights(Bare):
+    """Throws away samples whose weight would be large, and claims to cover them."""
+
+    name = "drops-large-weights"
+
+    def draw(self, condition: Tensor, u: Tensor, share: tuple[float, ...] = Bare.weights) -> Tensor:
+        """Off the disk where f/p is above ten."""
+        wo = super().draw(condition, u, share)
+        assert self.material is not None
+        large = self.material.target(condition, wo) > 10 * self.pdf(condition, wo)
+        return torch.where(large[:, None], wo + 3, wo)
+
+
+class FixedLaunch(Correct):
+    """Fills at most 2^18 rows; the others stay zero."""
+
+    name = "fixed-launch"
+
+    def draw(
+        self, condition: Tensor, u: Tensor, share: tuple[float, ...] = Correct.weights
+    ) -> Tensor:
+        """Zero beyond 2^18 rows."""
+        wo = super().draw(condition, u, share)
+        written = torch.arange(len(wo)) < 1 << 18
+        return torch.where(written[:, None], wo, 0)
+
+
+class NanOnBlack(Correct):
+    """Divides by the material's own value, which a black texel makes 0/0."""
+
+    name = "nan-on-black"
+
+    def pdf(self, condition: Tensor, wo: Tensor) -> Tensor:
+        """See :meth:`Method.pdf`."""
+        assert self.material is not None
+        scale = self.material.target(condition, torch.zeros_like(wo))
+        return super().pdf(condition, wo) * (scale / scale)
+
+
 class FailsToFit(Correct):
     """Raises while fitting."""
 
@@ -247,16 +336,24 @@ CAUGHT_BY: dict[type[Method], str] = {
     PdfTooLarge: "integral",
     ForgetsJacobian: "samples-pdf",
     MissesLobe: "samples-pdf",
+    ClampsTail: "tail",
+    FloorsPdf: "tail",
+    DropsLargeWeights: "weights",
     HalfDisk: "coverage",
-    WrongReportedPdf: "sample's-pdf",
+    WrongReportedPdf: "sample-pdf",
     MutatesInputs: "inputs-kept",
     IgnoresU: "same-u",
     ClampsToRim: "samples-pdf",
+    FixedLaunch: "batch-half-million",
     SpreadsNan: "nan-confined",
     DependsOnRows: "rows",
     LosesState: "save-load",
     NanAtZero: "u-corners",
+    NanOnBlack: "pdf-finite",
     WrongShape: "pdf-finite",
     FailsToFit: "fit",
 }
 """Each wrong adapter and the property that has to find it."""
+
+NEEDS: dict[type[Method], type[Material]] = {NanOnBlack: Soot}
+"""The material on which a fault shows, where it is not :class:`Plaster`."""

@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
+import functools
 import math
+import shlex
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
 import typer
+from scipy import stats
 from torch import Tensor
 from typer.testing import CliRunner
 
-from harness.check import Finding, run_checks
-from harness.check.distribution import check_distribution
+from harness.check import FALSE_ALARM, Finding, plan, properties, run_checks
+from harness.check.catalogue import BASE, CATALOGUE, HardCase
+from harness.check.finding import verdict
 from harness.check.quadrature import (
     Hints,
     hemisphere_to_square,
@@ -21,10 +26,24 @@ from harness.check.quadrature import (
     per_square,
     square_to_hemisphere,
 )
-from harness.check.subject import Subject, cases
-from harness.protocol import Material, Method, Unsupported, cos_theta, inside_disk, square_to_disk
+from harness.check.run import ORDINARY, fit, run_case
+from harness.check.subject import COSINES, stream
+from harness.protocol import (
+    InputError,
+    Material,
+    Method,
+    Unsupported,
+    cos_theta,
+    inside_disk,
+    square_to_disk,
+)
 from harness.stats.cells import Cells
+from harness.stats.chisquare import sidak
 from tests import planted
+
+SEEDS = 10
+EACH = sidak(FALSE_ALARM, ORDINARY * properties.tests())
+"""Level of one test among all those of a run."""
 
 
 def failed(findings: list[Finding]) -> set[str]:
@@ -32,33 +51,93 @@ def failed(findings: list[Finding]) -> set[str]:
     return {finding.property for finding in findings if not finding.ok}
 
 
-def test_a_correct_adapter_passes_and_again_alike() -> None:
-    first, second = (run_checks(planted.Correct(), planted.Plaster(), 5) for _ in range(2))
-    assert not [finding.line() for finding in first if not finding.ok]
-    assert {"integral", "samples-pdf", *planted.CAUGHT_BY.values()} - {"fit"} == {
-        finding.property for finding in first
-    }
-    assert [f.line() for f in first] == [f.line() for f in second]
+def at_level(name: str) -> float:
+    """Level of a run of one property such that each test has the level of a whole run."""
+    return -math.expm1(ORDINARY * properties.tests((name,)) * math.log1p(-EACH))
+
+
+# --- the properties, on adapters that are right, and wrong ---------------------------------------
+
+
+@pytest.mark.parametrize("right", [planted.Correct, planted.Bare], ids=lambda right: right.name)
+def test_a_correct_adapter_passes(right: type[Method]) -> None:
+    findings = run_checks(right(), planted.Plaster(), 5)
+    assert not [finding.line() for finding in findings if not finding.ok]
+    assert {f.property for f in findings} == set(properties.names())
+    assert set(planted.CAUGHT_BY.values()) <= set(properties.names())
+
+
+@functools.cache
+def of_forgets_jacobian() -> list[Finding]:
+    """Everything about an adapter that is wrong in its distribution alone."""
+    return run_checks(planted.ForgetsJacobian(), planted.Plaster(), 5)
+
+
+def test_one_property_alone_draws_what_it_draws_among_all() -> None:
+    every = of_forgets_jacobian()
+    for name in ("samples-pdf", "coverage"):
+        alone = run_checks(
+            planted.ForgetsJacobian(), planted.Plaster(), 5, only=(name,), alpha=at_level(name)
+        )
+        assert [f.line() for f in alone] == [
+            f.line() for f in every if f.property in (name, *properties.PER_CASE[name].also)
+        ]
 
 
 class Caught(Exception):
     """Ends a check that has found what it should."""
 
 
-@pytest.mark.parametrize("wrong", planted.CAUGHT_BY, ids=lambda wrong: wrong.name)
-def test_a_planted_fault_is_caught(wrong: type[Method]) -> None:
+def catch(wrong: type[Method], seed: int) -> None:
+    """Check until the property meant for the fault fails, at the level of a whole run."""
+    name = planted.CAUGHT_BY[wrong]
+
     def stop(finding: Finding) -> None:
-        if not finding.ok and finding.property == planted.CAUGHT_BY[wrong]:
+        if not finding.ok and finding.property == name:
             raise Caught(finding.line())
 
+    material = planted.NEEDS.get(wrong, planted.Plaster)()
     with pytest.raises(Caught, match="^FAIL"):
-        run_checks(wrong(), planted.Plaster(), 3, notify=stop)
+        run_checks(wrong(), material, seed, notify=stop, only=(name,), alpha=at_level(name))
 
 
-def test_faults_of_the_distribution_spoil_nothing_else() -> None:
-    findings = run_checks(planted.ForgetsJacobian(), planted.Plaster())
-    assert failed(findings) == {"samples-pdf"}
-    worst = next(f for f in findings if not f.ok).worst
+@pytest.mark.parametrize("wrong", planted.CAUGHT_BY, ids=lambda wrong: wrong.name)
+def test_a_planted_fault_is_caught(wrong: type[Method]) -> None:
+    catch(wrong, 3)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("wrong", planted.CAUGHT_BY, ids=lambda wrong: wrong.name)
+@pytest.mark.parametrize("seed", range(SEEDS))
+def test_a_planted_fault_is_caught_with_every_seed(wrong: type[Method], seed: int) -> None:
+    catch(wrong, seed)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("right", [planted.Correct, planted.Bare], ids=lambda right: right.name)
+@pytest.mark.parametrize("seed", range(SEEDS))
+def test_a_correct_adapter_passes_with_every_seed(right: type[Method], seed: int) -> None:
+    findings = run_checks(right(), planted.Plaster(), seed)
+    assert not [finding.line() for finding in findings if not finding.ok]
+
+
+@pytest.mark.slow
+def test_p_values_of_a_correct_adapter_are_uniform() -> None:
+    values = [
+        finding.number
+        for seed in range(40)
+        for finding in run_checks(planted.Correct(), planted.Plaster(), seed, only=("samples-pdf",))
+        if finding.unit == "p-value"
+    ]
+    assert len(values) == 40 * ORDINARY
+    # A seed's tests are of different conditions and samples: independent.
+    assert stats.kstest(values, "uniform").pvalue > 1e-3
+
+
+def test_faults_of_the_distribution_spoil_no_call() -> None:
+    findings = of_forgets_jacobian()
+    assert {"samples-pdf"} <= failed(findings) <= {"samples-pdf", "tail", "weights"}
+    worst = next(f for f in findings if f.property == "samples-pdf" and not f.ok).worst
     assert {"condition", "wo", "got", "expected"} <= set(worst)
 
 
@@ -115,14 +194,129 @@ class Steps(planted.Correct):
 
 @pytest.mark.parametrize("method", [Rim, Narrow, Steps])
 def test_hard_but_correct_distributions_pass(method: type[Method]) -> None:
-    generator = torch.Generator().manual_seed(11)
-    adapter, material = method(), planted.Plaster()
-    adapter.fit(material, None, generator)
-    subject = Subject(adapter, adapter, material, "cpu", generator)
-    for case in cases(material, generator, "cpu")[:4]:
-        findings = list(check_distribution(subject, case, 4e-5))
-        assert [f.property for f in findings] == ["sample's-pdf", "integral", "samples-pdf"]
-        assert not [f.line() for f in findings if not f.ok]
+    names = ("sample-pdf", "integral", "samples-pdf", "tail", "weights")
+    findings = run_checks(method(), planted.Plaster(), 11, only=names)
+    assert not [f.line() for f in findings if not f.ok]
+    assert {f.property for f in findings} >= set(names)
+
+
+def test_density_zero_by_underflow_is_not_a_hole() -> None:
+    class Thin(planted.Bare):
+        """Positive everywhere, yet below single precision far from its lobe."""
+
+        sigmas = (0.05, 0.02)
+
+        def reference_pdf(self, condition: Tensor, wo: Tensor) -> Tensor:
+            density = torch.zeros(len(wo), dtype=torch.float64)
+            off = wo.double()[:, None] - self.centres(condition.double())
+            for k, sigma in enumerate(self.sigmas):
+                norm = self.weights[k + 1] / (2 * math.pi * sigma**2)
+                density += norm * torch.exp(-0.5 * (off[:, k] / sigma).square().sum(-1))
+            return density
+
+    class Hole(Thin):
+        """Zero where it is zero, whatever the precision."""
+
+        def reference_pdf(self, condition: Tensor, wo: Tensor) -> Tensor:
+            return self.pdf(condition, wo).double()
+
+    for method, expected in ((Thin, "degraded"), (Hole, "fail")):
+        findings = run_checks(method(), planted.Plaster(), only=("coverage",))
+        assert {f.verdict for f in findings} == {expected}
+        assert all(0.1 < f.number < 1 for f in findings)
+
+
+# --- verdicts and hard cases ---------------------------------------------------------------------
+
+
+def test_the_verdict_is_the_worst() -> None:
+    found = [Finding(v, "c", v, "") for v in ("skip", "pass", "degraded", "fail", "fail")]
+    assert [verdict(found[:n]).verdict for n in range(1, 5)] == ["skip", "pass", "degraded", "fail"]
+    assert verdict(found) is found[3]
+    assert [f.ok for f in found] == [True, True, True, False, False]
+    with pytest.raises(ValueError, match="expected one of"):
+        Finding("integral", "c", "good", "")
+
+
+def two_rows(material: Material, generator: torch.Generator, device: str) -> Tensor:
+    """Normal incidence, and a random one."""
+    rows = material.conditions(2, generator, device).clone()
+    rows[0, -2:] = 0
+    return rows
+
+
+BOTH = HardCase("both", "direction", "", "plaster", two_rows)
+
+
+def in_case(method: Method, case: HardCase, material: Material | None = None) -> list[Finding]:
+    """The method, fitted to plaster, in one hard case."""
+    material = material or planted.Plaster()
+    subject, _ = fit(method, material, 2)
+    assert subject is not None
+    return run_case(method, subject.blank, material, case, 2)
+
+
+def test_a_case_has_one_finding_for_each_property_the_worst_of_its_rows() -> None:
+    class WrongAtNormal(planted.Correct):
+        def pdf(self, condition: Tensor, wo: Tensor) -> Tensor:
+            normal = (condition[:, -2:] == 0).all(-1)
+            return torch.where(normal, 1.1, 1.0) * super().pdf(condition, wo)
+
+    good, bad = in_case(planted.Correct(), BOTH), in_case(WrongAtNormal(), BOTH)
+    also = properties.PER_CASE["weights"].also
+    assert [f.property for f in good] == [
+        *(name for name in properties.PER_CASE if name in BOTH.checks and name != "weights"),
+        "invalid",
+        "weights",
+        *(name for name in also if name != "invalid"),
+    ]
+    assert {f.case for f in good} == {"both"} and not failed(good)
+    assert verdict(bad).property == "integral"
+    worst = next(f.worst for f in bad if f.property == "integral")
+    assert worst["condition"] == "(0, 0)"
+
+
+def test_states_are_loaded_into_a_fresh_copy() -> None:
+    def stretched(method: Method, generator: torch.Generator) -> dict[str, Tensor]:
+        return {"stretch": torch.tensor([torch.nan])}
+
+    method = planted.Correct()
+    broken = replace(BOTH, name="broken", group="state", alter=stretched)
+    findings = in_case(method, broken)
+    assert not next(f for f in findings if f.property == "pdf-finite").ok
+    assert float(method.stretch) == pytest.approx(0.9)
+    (none,) = in_case(method, replace(broken, alter=lambda method, generator: None))
+    assert none.verdict == "skip"
+
+    def misfit(method: Method, generator: torch.Generator) -> dict[str, Tensor]:
+        return {}
+
+    (misfits,) = in_case(method, replace(broken, alter=misfit))
+    assert misfits.verdict == "fail" and "KeyError" in misfits.text
+
+
+def test_an_input_case_is_its_property() -> None:
+    case = replace(BOTH, name="ends", group="input", inputs="u-corners")
+    (finding,) = in_case(planted.NanAtZero(), case)
+    assert (finding.property, finding.case, finding.verdict) == ("u-corners", "ends", "fail")
+    case = replace(case, inputs="float64")
+    (finding,) = in_case(planted.Correct(), case)
+    assert finding.ok and finding.text.startswith(tuple(COSINES))
+
+
+def test_the_catalogue_asks_for_properties_that_there_are() -> None:
+    for case in CATALOGUE.values():
+        assert set(case.checks) <= set(properties.PER_CASE)
+        if case.inputs:
+            assert case.inputs in {**properties.PER_CASE, **properties.PER_METHOD}
+
+
+def test_streams_differ_by_every_word() -> None:
+    words = [(0, "a", "b"), (1, "a", "b"), (0, "ab"), (0, "b", "a")]
+    drawn = {float(torch.rand(1, generator=stream(*w))) for w in words}
+    assert len(drawn) == 4
+    again = torch.rand(1, generator=stream(*words[0]))
+    assert torch.equal(again, torch.rand(1, generator=stream(*words[0])))
 
 
 def test_hemisphere_map_is_its_own_inverse() -> None:
@@ -161,6 +355,48 @@ def test_quadrature(density: Callable[[Tensor], Tensor], truth: float) -> None:
     assert masses.total == pytest.approx(truth, abs=5 * masses.error + 1e-4)
 
 
+# --- the plan and the command --------------------------------------------------------------------
+
+
+def test_by_default_the_base_and_a_few_more() -> None:
+    made = plan.make_plan()
+    assert [p.material for p in made.parts if p.ordinary] == list(plan.DEFAULT_MATERIALS)
+    cases = [case for part in made.parts for case in part.cases]
+    assert set(plan.DEFAULT_CASES) <= {case.name for case in cases}
+    on_base = {c.name for c in CATALOGUE.values() if c.material == BASE and not c.inputs}
+    assert on_base <= {case.name for case in cases}
+    # Each input case is a property that the ordinary cases have run already.
+    assert not any(case.inputs for case in cases)
+    every = plan.make_plan(everything=True)
+    assert {c.name for p in every.parts for c in p.cases} == {
+        c.name for c in CATALOGUE.values() if not c.inputs
+    }
+    assert every.level < made.level < FALSE_ALARM
+
+
+def test_a_plan_takes_what_is_named_and_no_more() -> None:
+    (part,) = plan.make_plan(["suede"]).parts
+    assert part.ordinary and not part.cases
+    (part,) = plan.make_plan((), ["half-million-rows", "grazing-1e-4"]).parts
+    assert not part.ordinary and len(part.cases) == 2
+    one = plan.make_plan(["suede"], (), ["integral"])
+    assert one.level == pytest.approx(sidak(FALSE_ALARM, ORDINARY))
+    assert plan.make_plan(["suede"], (), [plan.MITSUBA]).mitsuba
+
+
+@pytest.mark.parametrize(
+    ("wishes", "message"),
+    [
+        ((["sued"], [], []), "did you mean 'suede'"),
+        (([], ["grazing-1e-9"], []), "did you mean 'grazing-1e-"),
+        (([], [], ["integrall"]), "did you mean 'integral'"),
+    ],
+)
+def test_unknown_names_are_refused(wishes, message) -> None:
+    with pytest.raises(InputError, match=message):
+        plan.make_plan(*wishes)
+
+
 def application() -> typer.Typer:
     """The command alone; a second one makes typer keep its name."""
     from harness.cli.check import register
@@ -171,7 +407,9 @@ def application() -> typer.Typer:
     return app
 
 
-def test_command_line(tmp_path) -> None:
+@pytest.fixture
+def adapter(tmp_path) -> str:
+    """A file with a method that is right, or not, by its parameter ``scale``."""
     pytest.importorskip("mitsuba")
     file = tmp_path / "mine.py"
     file.write_text(
@@ -179,20 +417,73 @@ def test_command_line(tmp_path) -> None:
         "from harness.protocol import DiskSample, Method, inside_disk, square_to_disk\n"
         "class Mine(Method):\n"
         "    name = 'mine'\n"
-        "    scale = 1.0\n"
+        "    def __init__(self, scale=1.0):\n"
+        "        self.scale = scale\n"
         "    def sample(self, condition, u):\n"
         "        wo = square_to_disk(u[:, :2])\n"
         "        return DiskSample(wo, self.pdf(condition, wo))\n"
         "    def pdf(self, condition, wo):\n"
         "        return torch.where(inside_disk(wo), self.scale / torch.pi, 0)\n"
-        "class Wrong(Mine):\n"
-        "    name = 'wrong'\n"
-        "    scale = 1.03\n"
     )
+    return f"{file}:Mine"
+
+
+def test_command_line(adapter) -> None:
     run = CliRunner().invoke
-    good = run(application(), ["check", f"{file}:Mine", "--material", "suede", "--mitsuba"])
+    chosen = ["--property=integral", "--property=coverage"]
+    some = ["check", adapter, "--material=suede", "--case=normal", "--case=rim-lobe", *chosen]
+    good = run(application(), [*some, "--property=mitsuba-chi2"])
     assert good.exit_code == 0, good.output
     assert "FAIL" not in good.output and "mitsuba-chi2" in good.output
-    wrong = run(application(), ["check", f"{file}:Wrong", "--material", "suede"])
+    assert good.output.endswith("passed, 0 degraded, 0 failed, 0 skipped\n")
+    wrong = run(application(), [*some, "--param", "scale=1.03", "--seed=4"])
     assert wrong.exit_code == 1
-    assert "FAIL  integral" in wrong.output and "--seed=0" in wrong.output
+    lines = wrong.output.splitlines()
+    found = next(k for k, line in enumerate(lines) if line.startswith("FAIL") and "rim-" in line)
+    assert "worst: condition" in lines[found + 1] and "expected 1.00000" in lines[found + 1]
+    # The command that is printed gives the same failure again.
+    again = shlex.split(lines[found + 2].partition("again: harness ")[2])
+    assert "--case=rim-lobe" in again and "--param=scale=1.03" in again
+    same = run(application(), again)
+    assert same.exit_code == 1
+    assert lines[found].split("(may")[0] in same.output
+    assert same.output.count("FAIL") == 1
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--param", "scale"], "expected KEY=VALUE"),
+        (["--param", "scael=1"], "did you mean 'scale'"),
+        (["--case", "grasing-1e-2"], "did you mean 'grazing-1e-2'"),
+        (["--material", "suede", "--property", "integrl"], "did you mean 'integral'"),
+        (["--case", "normal", "--property", "u-corners"], "nothing to check"),
+    ],
+)
+def test_the_command_refuses_what_is_unknown(adapter, words, message) -> None:
+    result = CliRunner().invoke(application(), ["check", adapter, *words])
+    assert isinstance(result.exception, InputError)
+    assert message in str(result.exception)
+
+
+def test_parameters_are_read_as_in_a_suite() -> None:
+    from harness.cli.check import parameters
+
+    given = ["a=1", "b=1e-3", "c=true", "d=[1, 2]", "e=text", "f=2.5", "g=a=b"]
+    assert parameters(given) == {
+        "a": 1,
+        "b": 1e-3,
+        "c": True,
+        "d": [1, 2],
+        "e": "text",
+        "f": 2.5,
+        "g": "a=b",
+    }
+
+
+def test_what_does_not_apply_is_said_once(adapter) -> None:
+    words = ["check", adapter, "--material=suede", "--property=invertible"]
+    result = CliRunner().invoke(application(), words)
+    assert result.exit_code == 0
+    assert result.output.count("no inverse") == 1
+    assert result.output.endswith("0 passed, 0 degraded, 0 failed, 1 skipped\n")

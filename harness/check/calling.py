@@ -9,7 +9,7 @@ import safetensors.torch
 import torch
 from torch import Tensor
 
-from harness.check.finding import Finding, rounded
+from harness.check.finding import Finding, held, rounded
 from harness.check.subject import Subject
 from harness.protocol import DiskSample, InputError
 
@@ -39,7 +39,8 @@ def check_inputs_kept(subject: Subject) -> Finding:
     subject.pdf(condition, wo)
     changed += [] if torch.equal(condition, before[0]) else ["pdf changes condition"]
     changed += [] if torch.equal(wo, kept) else ["pdf changes wo"]
-    return Finding("inputs-kept", "all", not changed, "; ".join(changed) or "no input changed")
+    text = "; ".join(changed) or "no input changed"
+    return Finding("inputs-kept", "all", held(not changed), text)
 
 
 def check_reproducible(subject: Subject) -> Finding:
@@ -56,12 +57,12 @@ def check_reproducible(subject: Subject) -> Finding:
             "first": rounded(first.wo[k]),
             "then": rounded(second.wo[k]),
         }
-        return Finding(name, "all", False, "the same uniforms give different samples", worst)
+        return Finding(name, "all", "fail", "the same uniforms give different samples", worst)
     same = float((first.wo == other.wo).all(-1).double().mean())
     if same > 0.5:
         text = f"other uniforms give the same direction in {same:.0%} of the rows"
-        return Finding(name, "all", False, text)
-    return Finding(name, "all", True, "the same samples twice, others for other uniforms")
+        return Finding(name, "all", "fail", text)
+    return Finding(name, "all", "pass", "the same samples twice, others for other uniforms")
 
 
 def check_rows(subject: Subject) -> Iterator[Finding]:
@@ -87,7 +88,7 @@ def check_rows(subject: Subject) -> Iterator[Finding]:
             if bool(off.any()):
                 k = int(off.nonzero()[0, 0])
                 worst = {"condition": rounded(condition[rows[k]]), "got": rounded(density[k])}
-                finding = Finding(name, case, False, "pdf depends on the other rows", worst)
+                finding = Finding(name, case, "fail", "pdf depends on the other rows", worst)
         yield finding
 
 
@@ -111,17 +112,17 @@ def check_nan_confined(subject: Subject) -> Iterator[Finding]:
     }.items():
         got = _or_refused(call)
         if isinstance(got, str):
-            yield Finding("nan-confined", case, True, got)
+            yield Finding("nan-confined", case, "pass", got)
         else:
             got = DiskSample(got.wo[rest], got.pdf[rest])
             yield compare(subject, "nan-confined", case, condition, u, base, got, rows)
     got = _or_refused(lambda: subject.pdf(condition, spoiled(base.wo)))
     if isinstance(got, str):
-        yield Finding("nan-confined", "wo", True, got)
+        yield Finding("nan-confined", "wo", "pass", got)
     else:
         off = int(_apart(got, density)[rest].sum())
         text = f"{off} other rows differ" if off else "no other row differs"
-        yield Finding("nan-confined", "wo", off == 0, text)
+        yield Finding("nan-confined", "wo", held(off == 0), text)
 
 
 def check_restored(subject: Subject) -> Finding:
@@ -140,7 +141,7 @@ def check_restored(subject: Subject) -> Finding:
     off = _apart(other.pdf(condition, base.wo), subject.pdf(condition, base.wo))
     if finding.ok and bool(off.any()):
         text = f"pdf differs after loading in {int(off.sum())} rows"
-        return Finding("save-load", "all", False, text)
+        return Finding("save-load", "all", "fail", text)
     return finding
 
 
@@ -165,7 +166,7 @@ def compare(
     if bool(off.any()):
         off = off & ~_within_rounding(subject, condition, u, base, got, rows)
     if not bool(off.any()):
-        return Finding(name, case, True, f"{len(rows)} rows as before")
+        return Finding(name, case, "pass", f"{len(rows)} rows as before")
     k = int(off.nonzero()[0, 0])
     worst = {
         "condition": rounded(condition[rows[k]]),
@@ -173,7 +174,7 @@ def compare(
         "got": f"wo {rounded(got.wo[k])} pdf {rounded(got.pdf[k])}",
         "expected": f"wo {rounded(base.wo[rows[k]])} pdf {rounded(base.pdf[rows[k]])}",
     }
-    return Finding(name, case, False, f"{int(off.sum())} of {len(rows)} rows differ", worst)
+    return Finding(name, case, "fail", f"{int(off.sum())} of {len(rows)} rows differ", worst)
 
 
 def _conditions(subject: Subject) -> Tensor:

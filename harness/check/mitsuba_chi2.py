@@ -13,7 +13,7 @@ from typing import Any
 
 import torch
 
-from harness.check.finding import Finding
+from harness.check.finding import Finding, held
 from harness.check.subject import COSINES
 from harness.protocol import Material, Method
 from harness.rendering import variant
@@ -54,7 +54,7 @@ def mitsuba_chi2(
         messages = " ".join(test.messages.split())
         text = messages if test.p_value is None or test.fail else f"p = {test.p_value:.2g}"
         worst = {} if ok else {"wi": place[0], "uv": place[1]}
-        findings.append(Finding("mitsuba-chi2", name, ok, text, worst))
+        findings.append(Finding("mitsuba-chi2", name, held(ok), text, worst))
     return findings
 
 

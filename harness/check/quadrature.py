@@ -122,10 +122,10 @@ def integrate(
     are biased by it: cells that came out too large were split, those too small were not.
     Looking ``PASSES`` times afresh before that finds edges that the points missed at first.
     """
-    masses = _evaluate(density, cells, rng)
+    masses = evaluate(density, cells, rng)
     for _ in range(PASSES):
         cells = _refine(density, hints, rng, masses, most)
-        masses = _evaluate(density, cells, rng)
+        masses = evaluate(density, cells, rng)
     return masses
 
 
@@ -149,7 +149,7 @@ def _refine(
         old = masses.cells
         parents = Cells(old.start[chosen], old.level[chosen])
         children = parents.split(np.ones(len(parents), bool))
-        new = _evaluate(density, children, rng)
+        new = evaluate(density, children, rng)
         start = np.concatenate([old.start[~chosen], children.start])
         order = np.argsort(start)
         masses = Masses(
@@ -186,9 +186,8 @@ def _doubt(masses: Masses, hints: Hints) -> NDArray:
     return np.where(chosen & (masses.cells.level < DEPTH), off, 0.0)
 
 
-def _evaluate(
-    density: Callable[[Tensor], Tensor], cells: Cells, rng: np.random.Generator
-) -> Masses:
+def evaluate(density: Callable[[Tensor], Tensor], cells: Cells, rng: np.random.Generator) -> Masses:
+    """Masses of ``density`` (as in :func:`integrate`) in the given cells, by fresh points."""
     n = len(cells)
     quarters = np.array([[0, 0], [1, 0], [0, 1], [1, 1]])[None, :, None]
     place = (quarters + rng.random((n, 4, 2, 2))) / 2

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import hashlib
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -28,13 +30,27 @@ class Case:
 
 @dataclass
 class Subject:
-    """``blank`` is the method as constructed, before fitting, for loading state into."""
+    """``blank`` is the method as constructed, before fitting, for loading state into.
+
+    ``generator`` is what the property at hand draws from; ``kept`` what its case has drawn and
+    integrated already (see :mod:`harness.check.evidence`).
+    """
 
     method: Method
     blank: Method
     material: Material
     device: str
     generator: torch.Generator
+    seed: int = 0
+    kept: dict[str, Any] = field(default_factory=dict, repr=False)
+
+    def stream(self, *words: str) -> torch.Generator:
+        """A generator of its own for what ``words`` name.
+
+        Each property of each case has one, so that it draws the same numbers whether it
+        runs alone or among all others.
+        """
+        return stream(self.seed, self.material.name, *words)
 
     def uniforms(self, n: int) -> Tensor:
         """Uniforms [n, 3] in [0, 1)."""
@@ -63,6 +79,12 @@ class Subject:
 
 class WrongOutput(Exception):
     """An adapter returned something of the wrong type or shape."""
+
+
+def stream(seed: int, *words: str) -> torch.Generator:
+    """A generator whose seed is a digest of ``seed`` and ``words``: other words, other numbers."""
+    digest = hashlib.sha256("/".join([str(seed), *words]).encode()).digest()
+    return torch.Generator().manual_seed(int.from_bytes(digest[:8], "big") >> 1)
 
 
 def cases(material: Material, generator: torch.Generator, device: str) -> list[Case]:

@@ -2,22 +2,39 @@
 
 from __future__ import annotations
 
+import re
 import shlex
-from typing import Annotated
+from collections import Counter
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-DEFAULT_MATERIALS = ("suede", "brushed-metal")
-"""One near-diffuse, one anisotropic and glossy."""
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from harness.check import Finding
+
+STYLES = {"pass": "green", "degraded": "yellow", "fail": "bold red", "skip": "dim"}
+_EXPONENT = re.compile(r"[-+]?[0-9]+[eE][-+]?[0-9]+")
+SUMMARY = ("passed", "pass"), ("degraded", "degraded"), ("failed", "fail"), ("skipped", "skip")
 
 
 def check(
     method: Annotated[str, typer.Argument(help="A method's name, or path/to/file.py:Class.")],
     material: Annotated[
         list[str] | None,
-        typer.Option(
-            help=f"A material's name; repeatable. Default: {', '.join(DEFAULT_MATERIALS)}."
-        ),
+        typer.Option(help="Its ordinary cases; repeatable. By default suede and brushed-metal."),
+    ] = None,
+    case: Annotated[
+        list[str] | None, typer.Option(help="A hard case of the catalogue; repeatable.")
+    ] = None,
+    everything: Annotated[bool, typer.Option("--all", help="The whole catalogue.")] = False,
+    property_: Annotated[
+        list[str] | None, typer.Option("--property", help="Only this property; repeatable.")
+    ] = None,
+    param: Annotated[
+        list[str] | None,
+        typer.Option(metavar="KEY=VALUE", help="A parameter of the constructor; repeatable."),
     ] = None,
     seed: Annotated[int, typer.Option(help="Seed of the fit and of all samples.")] = 0,
     device: Annotated[str, typer.Option(help="cpu or cuda.")] = "cpu",
@@ -25,54 +42,99 @@ def check(
         bool, typer.Option("--mitsuba", help="Mitsuba's own chi-square test of the plugin, too.")
     ] = False,
 ) -> None:
-    """Check a method's properties on materials; one line each, exit 1 if any fails.
+    """Check a method's properties, in ordinary and in hard cases.
 
-    A correct adapter fails by chance less than once in a thousand runs.
+    One line for each property and case: pass; degraded (right, but of little use there, with
+    the number that says so); FAIL, with the worst input and the command that gives it again;
+    or skip. Exit 1 if any fails. A correct adapter fails by chance less than once in a thousand
+    runs.
     """
-    from harness.check import FALSE_ALARM, run_checks
-    from harness.check.finding import Finding
-    from harness.materials import registry as materials
+    from rich.console import Console
+
+    from harness.check.plan import carry_out, make_plan
     from harness.protocol import InputError, Unsupported
-    from harness.registry import load, make
+    from harness.registry import make
     from harness.rendering import variant
-    from harness.stats.chisquare import sidak
 
-    load(method)
-    names = list(material or DEFAULT_MATERIALS)
+    given = parameters(param or [])
+    make(method, **given)  # refuses what cannot be made before anything runs
+    plan = make_plan(
+        material or (), case or (), property_ or (), everything=everything, mitsuba=mitsuba
+    )
     variant.use(device)
-    failed = passed = 0
-
-    def show(finding: Finding) -> None:
-        nonlocal failed, passed
-        failed += not finding.ok
-        passed += finding.ok
-        typer.echo(finding.line())
-
-    # Materials and the two kinds of test share the false alarms.
-    alpha = sidak(FALSE_ALARM, len(names) * (1 + mitsuba))
-    skipped = []
-    for name in names:
-        adapter, subject = make(method), materials.make(name)
-        typer.echo(f"{method} on {name}")
+    console = Console(highlight=False, markup=False)
+    again = ["harness", "check", method, *(f"--param={item}" for item in param or [])]
+    ending = [f"--seed={seed}", f"--device={device}"]
+    counts: Counter[str] = Counter()
+    unsupported = []
+    skipped: set[tuple[str, str, str]] = set()
+    for part in plan.parts:
+        console.print(f"{method} on {part.material}", style="bold", soft_wrap=True)
         try:
-            findings = run_checks(adapter, subject, seed, device=device, alpha=alpha, notify=show)
+            for finding, hard in carry_out(plan, part, make(method, **given), seed, device):
+                # What does not apply is said once, not in every case.
+                said = (part.material, finding.property, finding.text)
+                if finding.verdict == "skip" and said in skipped:
+                    continue
+                skipped.add(said)
+                counts[finding.verdict] += 1
+                where = f"--case={hard.name}" if hard else f"--material={part.material}"
+                if not hard and not part.ordinary:  # a fit for the sake of hard cases
+                    where = f"--case={part.cases[0].name}"
+                what = [] if finding.property == "fit" else [f"--property={finding.property}"]
+                show(console, finding, shlex.join([*again, where, *what, *ending]))
         except Unsupported as reason:
-            typer.echo(f"unsupported: {reason}")
-            skipped.append(str(reason))
-            continue
-        if mitsuba and findings[-1].property != "fit":
-            from harness.check.mitsuba_chi2 import mitsuba_chi2
-
-            for finding in mitsuba_chi2(adapter, subject, seed, device=device, alpha=alpha):
-                show(finding)
-    if len(skipped) == len(names):
-        raise InputError(f"nothing to check: {skipped[0]}")
-    if failed:
-        again = ["harness", "check", method, *(f"--material={n}" for n in names)]
-        again += [f"--seed={seed}", f"--device={device}", *(["--mitsuba"] if mitsuba else [])]
-        typer.echo(f"{failed} failed, {passed} passed; again: {shlex.join(again)}")
+            unsupported.append(str(reason))
+            counts["skip"] += 1
+            console.print(f"skip      unsupported: {reason}", style="dim", soft_wrap=True)
+    if len(unsupported) == len(plan.parts):
+        raise InputError(f"nothing to check: {unsupported[0]}")
+    if not counts.total():
+        raise InputError(f"nothing to check: no case here has {' or '.join(plan.only)}")
+    words = [f"{counts[key]} {word}" for word, key in SUMMARY]
+    console.print(", ".join(words), style="red" if counts["fail"] else "bold", soft_wrap=True)
+    if counts["fail"]:
         raise typer.Exit(1)
-    typer.echo(f"all {passed} passed")
+
+
+def show(console: Console, finding: Finding, command: str) -> None:
+    """The finding on a line; for a failure the worst input and ``command`` on two more."""
+    from rich.text import Text
+
+    line = Text(finding.line(), style="dim" if finding.verdict == "skip" else "")
+    line.stylize(STYLES[finding.verdict], 0, 8)
+    if console.is_terminal and finding.verdict == "pass":
+        line.truncate(console.width, overflow="ellipsis")
+    console.print(line, soft_wrap=True)
+    if not finding.ok:
+        if finding.worst:
+            console.print(f"          worst: {finding.worst_line()}", soft_wrap=True)
+        console.print(f"          again: {command}", soft_wrap=True)
+
+
+def parameters(given: list[str]) -> dict[str, Any]:
+    """``key=value`` as keyword arguments; values are read as in a suite.
+
+    Raises:
+        InputError: one is not of that form.
+    """
+    import yaml
+
+    from harness.protocol import InputError
+
+    found = {}
+    for item in given:
+        key, equals, value = item.partition("=")
+        if not (equals and key.isidentifier()):
+            raise InputError(f"--param {item}: expected KEY=VALUE")
+        try:
+            found[key] = yaml.safe_load(value)
+        except yaml.YAMLError:
+            raise InputError(f"--param {item}: expected a value as in a suite") from None
+        if isinstance(found[key], str) and _EXPONENT.fullmatch(found[key]):
+            # YAML takes 1e-3 for a text: it wants a point in it.
+            found[key] = float(found[key])
+    return found
 
 
 def register(app: typer.Typer) -> None:

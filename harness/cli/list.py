@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-KINDS = ("methods", "materials", "scenes", "measures", "suites")
+KINDS = ("methods", "materials", "scenes", "measures", "suites", "cases")
 
 
 def register(app: typer.Typer) -> None:
@@ -17,7 +17,7 @@ def register(app: typer.Typer) -> None:
     def list_(
         kind: Annotated[str, typer.Argument(help=", ".join(KINDS))],
     ) -> None:
-        """Print the names of all methods, materials, scenes, measures or suites."""
+        """Print the names of all methods, materials, scenes, measures, suites or hard cases."""
         from harness.protocol import InputError, nearest
 
         if kind not in KINDS:
@@ -46,6 +46,10 @@ def _registry(kind: str) -> tuple[list[str], Callable[[str], str]]:
         from harness.measures import registry as measures
 
         return measures.names(), measures.describe
+    if kind == "cases":
+        from harness.check.catalogue import CATALOGUE
+
+        return list(CATALOGUE), lambda name: CATALOGUE[name].about
     from harness.suite import load
 
     return load.names(), load.describe

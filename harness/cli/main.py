@@ -9,7 +9,7 @@ from typing import Annotated
 
 import typer
 
-VERBS = ("run", "report", "list", "check", "validate", "new", "doctor", "bench")
+VERBS = ("run", "report", "advise", "list", "check", "validate", "new", "doctor", "bench")
 REFUSED = 2
 INTERRUPTED = 130
 

@@ -5,6 +5,7 @@ A specification is a name, or a mapping::
     {name: paint,     type: measured, file: paint.bsdf}
     {name: clearcoat, type: mitsuba,  bsdf: {type: principled, roughness: 0.2}}
     {name: theirs,    type: mitsuba,  file: scene.xml, id: wood}
+    {name: rim-lobe,  type: hard}    # or its name alone: see harness.materials.hard
 
 Relative files are meant from ``base_dir`` (the folder of the suite), or the working folder.
 Neither Mitsuba nor Dr.Jit is loaded before :func:`make`.
@@ -20,7 +21,7 @@ from pathlib import Path
 from typing import Any
 
 from harness import mitsuba_xml
-from harness.materials import measured, xml_bsdf
+from harness.materials import hard, measured, xml_bsdf
 from harness.protocol import InputError, Material, nearest
 from harness.source import covered, digest
 
@@ -35,8 +36,15 @@ def names() -> list[str]:
     return sorted(_named())
 
 
+def hard_names() -> list[str]:
+    """Names of the materials that are hard on purpose, in the order of their files."""
+    return list(hard.MATERIALS)
+
+
 def describe(name: str) -> str:
     """One line about a named material, beginning with the regime it stands for."""
+    if name in hard.MATERIALS:
+        return hard.MATERIALS[name].about
     for node in ast.parse(_file(name).read_text(encoding="utf-8")).body:
         if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == "SUMMARY":
             return str(ast.literal_eval(node.value))
@@ -49,6 +57,7 @@ def validate(spec: Spec, base_dir: Path | str | None = None) -> None:
     Raises:
         InputError: with one line that says what is wrong.
     """
+    spec = _in_full(spec)
     if isinstance(spec, str):
         _file(spec)
         return
@@ -69,6 +78,7 @@ def identity(spec: Spec, base_dir: Path | str | None = None) -> dict[str, Any]:
     Validates first. The name of a user's material is a label and not part of it.
     """
     validate(spec, base_dir)
+    spec = _in_full(spec)
     name = _bare_name(spec)
     if name is not None:
         return {"type": "named", "name": name, "source": digest(covered(_file(name), PACKAGE))}
@@ -78,6 +88,9 @@ def identity(spec: Spec, base_dir: Path | str | None = None) -> dict[str, Any]:
 def make(spec: Spec, base_dir: Path | str | None = None) -> Material:
     """The material; :class:`InputError` if the specification is refused."""
     what = identity(spec, base_dir)
+    spec = _in_full(spec)
+    if _is_hard(spec):
+        return hard.MATERIALS[spec["name"]].make(spec["name"], what)
     # Imported here, for it loads Mitsuba.
     from harness.materials.mitsuba_bsdf import MitsubaMaterial
 
@@ -169,7 +182,22 @@ class _Mitsuba:
         )
 
 
-KINDS: dict[str, Any] = {"mitsuba": _Mitsuba(), "measured": _Measured()}
+class _Hard:
+    """``{name, type: hard}``; :func:`make` makes it, for not all are Mitsuba's."""
+
+    def validate(self, spec: Mapping[str, Any], base: Path) -> None:
+        _only(spec, ())
+        name = spec["name"]
+        if name not in hard.MATERIALS:
+            raise InputError(f"unknown hard material '{name}'{nearest(name, hard.MATERIALS)}")
+
+    def identity(self, spec: Mapping[str, Any], base: Path) -> dict[str, Any]:
+        name = spec["name"]
+        source = digest(covered(hard.MATERIALS[name].file, "harness.materials.hard"))
+        return {"type": "hard", "name": name, "source": source}
+
+
+KINDS: dict[str, Any] = {"mitsuba": _Mitsuba(), "measured": _Measured(), "hard": _Hard()}
 
 
 # --- helpers ---------------------------------------------------------------------------
@@ -186,8 +214,22 @@ def _named() -> dict[str, Path]:
 def _file(name: str) -> Path:
     known = _named()
     if name not in known:
-        raise InputError(f"unknown material '{name}'{nearest(name, known)}")
+        hint = nearest(name, [*known, *hard.MATERIALS])
+        raise InputError(f"unknown material '{name}'{hint}")
     return known[name]
+
+
+def _in_full(spec: Spec) -> Spec:
+    """A hard material's bare name as ``{name, type: hard}``; anything else as it is."""
+    bare = isinstance(spec, str) or (isinstance(spec, Mapping) and set(spec) == {"name"})
+    name = spec if isinstance(spec, str) else spec["name"] if bare else None
+    if isinstance(name, str) and name in hard.MATERIALS:
+        return {"name": name, "type": "hard"}
+    return spec
+
+
+def _is_hard(spec: Spec) -> bool:
+    return isinstance(spec, Mapping) and spec.get("type") == "hard"
 
 
 def _bare_name(spec: Spec) -> str | None:

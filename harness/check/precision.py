@@ -1,0 +1,217 @@
+r"""Properties of single precision: against double precision, and with inputs in half.
+
+A density evaluated in single precision is, at best, the exact density of slightly
+different numbers. A dot product of n terms is exact for factors that differ by at most
+:math:`n u` relative, :math:`u = 2^{-24}`; 64 terms are the widest layer that ships. So the
+tolerance is not a number but a movement: inputs and state, each moved by :math:`64 u` of
+itself in a random direction, ``DRAWS`` times, and the reference evaluated again. Where the
+problem is ill-conditioned (deep in a lobe's flank, at the rim, on an edge), it moves much, and
+so may the single-precision value; where it does not move, cancellation has no excuse.
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable, Iterator
+
+import torch
+from torch import Tensor
+
+from harness.check.calling import compare
+from harness.check.edges import around, between
+from harness.check.finding import Finding, Verdict, rounded
+from harness.check.subject import Case, Subject
+from harness.protocol import DiskSample, InputError, Method, square_to_disk
+
+TESTS = 0
+
+ROWS = 512
+UNIT = 2.0**-24
+"""Half a unit in the last place of one, in single precision."""
+MOVED = 64 * UNIT
+"""Backward error of a dot product of 64 terms."""
+DRAWS = 4
+SAFETY = 4.0
+"""Times the range of ``DRAWS`` draws: that all of them miss the worst by so much is rare."""
+EVALUATION = 160 * UNIT
+"""Relative, where nothing moves: a hundred operations and some functions of Dr.Jit, which are
+exact to a few units."""
+SMALLEST = 2.0**-126
+"""Below the least normal number single precision may flush to zero."""
+HALF_PRECISION = 0.1
+"""Median relative error: a unit of eight bits is 0.4 %, and a lobe's flank makes ten of it."""
+
+
+def check_float64(subject: Subject, case: Case) -> Iterator[Finding]:
+    """Property ``float64``: ``pdf`` against ``reference_pdf``, and inputs in double precision.
+
+    Without a reference, against ``pdf`` of inputs in double if that answers in double; inputs
+    are then not moved in state. Skipped where it does neither.
+    """
+    name = "float64"
+    condition = case.rows(ROWS)
+    drawn = subject.sample(condition, subject.uniforms(ROWS)).wo[: ROWS // 2]
+    even = square_to_disk(torch.rand(ROWS - len(drawn), 2, generator=subject.generator))
+    wo = torch.cat([drawn, even.to(drawn)])
+    # What is drawn at infinity is found elsewhere.
+    wo = wo[wo.isfinite().all(-1)]
+    condition = condition[: len(wo)]
+    got = subject.pdf(condition, wo)
+    answer = _or_refused(lambda: subject.pdf(condition.double(), wo.double()))
+    if not isinstance(answer, str):
+        yield from _same_in_double(case, condition, wo, got, answer)
+    reference, methods = subject.method.reference_pdf, [subject.method]
+    first = reference(condition, wo)
+    if first is not None:
+        methods = _perturbed(subject)
+    elif isinstance(answer, str):
+        yield Finding(name, case.name, "skip", f"inputs in double are {answer}")
+        return
+    elif answer.dtype != torch.float64:
+        yield Finding(name, case.name, "skip", "no reference, and pdf answers in single precision")
+        return
+    else:
+        first, methods = answer, [subject.method] * DRAWS
+
+    low, high = first.clone(), first.clone()
+    for method in methods:
+        c, o = (_move(t.double(), subject.generator) for t in (condition, wo))
+        plain = method.reference_pdf(c, o)
+        value = method.pdf(c, o) if plain is None else plain
+        low, high = torch.minimum(low, value), torch.maximum(high, value)
+    yield _against(case, wo, got, first, low, high)
+
+
+def _against(
+    case: Case, wo: Tensor, got: Tensor, first: Tensor, low: Tensor, high: Tensor
+) -> Finding:
+    name = "float64"
+    slack = SAFETY * (high - low) + EVALUATION * high + SMALLEST
+    value = got.double()
+    off = ~((value >= low - slack) & (value <= high + slack))
+    # Where both are infinite or nan there is no difference, and `pdf-finite` speaks.
+    off &= first.isfinite()
+    apart = (value - first).abs() / torch.maximum(value.abs(), first.abs()).clamp(min=SMALLEST)
+    apart = torch.where(first.isfinite(), apart, 0)
+    number = float(apart.max())
+    if not bool(off.any()):
+        text = f"differs by at most {number:.1g} relative at {len(wo)} directions"
+        return Finding(name, case.name, "pass", text, number=number, unit="relative")
+    k = int(torch.where(off, apart.nan_to_num(torch.inf), -1).argmax())
+    worst = {
+        "condition": rounded(case.row),
+        "wo": rounded(wo[k]),
+        "got": rounded(got[k]),
+        "expected": f"{rounded(first[k])} +- {rounded(slack[k])}",
+    }
+    text = f"single precision is off at {int(off.sum())} of {len(wo)} directions"
+    return Finding(name, case.name, "fail", text, worst, number, "relative")
+
+
+def _same_in_double(
+    case: Case, condition: Tensor, wo: Tensor, got: Tensor, answer: Tensor
+) -> Iterator[Finding]:
+    """``pdf`` of the same numbers stored as doubles is no other number (coarse: 1 %)."""
+    off = (got - answer).abs().double() > 0.01 * torch.maximum(got, answer).double() + SMALLEST
+    if float(off.double().mean()) > 0.05:
+        k = int(off.nonzero()[0, 0])
+        worst = {
+            "condition": rounded(condition[k]),
+            "wo": rounded(wo[k]),
+            "got": rounded(answer[k]),
+            "expected": rounded(got[k]),
+        }
+        text = f"pdf of inputs in double differs in {int(off.sum())} of {len(off)} rows"
+        yield Finding("float64", case.name, "fail", text, worst)
+
+
+def _perturbed(subject: Subject) -> list[Method]:
+    """Copies of the method, every number of the state moved; made once per method."""
+    method, known = subject.kept.get("moved", (None, []))
+    if method is subject.method:
+        return known
+    copies = []
+    for _ in range(DRAWS):
+        method = copy.deepcopy(subject.blank)
+        method.bind(subject.material)
+        state = {
+            key: _move(value, subject.generator) if value.is_floating_point() else value
+            for key, value in subject.method.state_dict().items()
+        }
+        if state:
+            method.load_state_dict({k: v.to(subject.device) for k, v in state.items()})
+        copies.append(method)
+    subject.kept["moved"] = subject.method, copies
+    return copies
+
+
+def _move(value: Tensor, generator: torch.Generator) -> Tensor:
+    """Every entry times 1 + MOVED or 1 - MOVED."""
+    sign = torch.randint(2, value.shape, generator=generator).to(value) * 2 - 1
+    return value * (1 + MOVED * sign)
+
+
+def check_bfloat16(subject: Subject) -> Iterator[Finding]:
+    """Property ``bfloat16``: half-precision inputs are refused, or answered as the same floats."""
+    name = "bfloat16"
+    condition = subject.conditions(4).repeat_interleave(ROWS // 4, 0).bfloat16()
+    u = subject.uniforms(ROWS).bfloat16()
+    # Rounded to eight bits some uniforms become one, which is none.
+    u = torch.where(u < 1, u, 1 - 2.0**-8)
+    plain, some = condition.float(), u.float()
+    drawn = _or_refused(lambda: subject.sample(condition, u))
+    if isinstance(drawn, str):
+        yield Finding(name, "sample", "pass", drawn)
+    else:
+        got = DiskSample(drawn.wo.float(), drawn.pdf.float())
+        rows = torch.arange(ROWS, device=subject.device)
+        base = subject.sample(plain, some)
+        finding = compare(subject, name, "sample", plain, some, base, got, rows)
+        # Another direction may be as good, if its density is its own.
+        yield finding if finding.ok else _coarse("sample", got.pdf, subject.pdf(plain, got.wo))
+    wo = square_to_disk(torch.rand(ROWS, 2, generator=subject.generator))
+    wo = wo.to(subject.device).bfloat16()
+    pdf = _or_refused(lambda: subject.pdf(condition, wo))
+    if isinstance(pdf, str):
+        yield Finding(name, "pdf", "pass", pdf)
+        return
+    # Numbers of eight bits lie on edges of cells, and rounding takes a side.
+    low, middle, high = around(subject, plain, wo.float())
+    finding = between(
+        name,
+        "pdf",
+        plain,
+        wo.float(),
+        pdf.float(),
+        torch.minimum(low, middle),
+        torch.maximum(high, middle),
+    )
+    yield finding if finding.ok else _coarse("pdf", pdf, middle)
+
+
+def _coarse(case: str, got: Tensor, expected: Tensor) -> Finding:
+    """Not as the floats, so computed in half precision: no better than eight bits, or wrong."""
+    got, expected = got.double(), expected.double()
+    bad = int((~(got.isfinite() & (got >= 0))).sum())
+    if bad:
+        return Finding("bfloat16", case, "fail", f"not a density in {bad} of {len(got)} rows")
+    apart = (got - expected).abs() / torch.maximum(got, expected).clamp(min=SMALLEST)
+    number = float(apart.median())
+    text = f"computes in half precision: half of the densities are off by {number:.2g} or more"
+    verdict: Verdict = "degraded" if number <= HALF_PRECISION else "fail"
+    return Finding("bfloat16", case, verdict, text, number=number, unit="relative")
+
+
+def _or_refused(call: Callable) -> Tensor | DiskSample | str:
+    """The call's result, or how it was refused: an error of input, value or type.
+
+    torch reports mixed types as a RuntimeError that names them, which is as clear.
+    """
+    try:
+        return call()
+    except (InputError, ValueError, TypeError) as error:
+        return f"refused: {error}"
+    except RuntimeError as error:
+        if "type" not in str(error):
+            raise
+        return f"refused: {str(error).splitlines()[0]}"
