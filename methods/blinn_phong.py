@@ -9,13 +9,14 @@ from typing import ClassVar
 import drjit as dr
 import torch
 from torch import Tensor, nn
-from torch.nn.functional import logsigmoid
 
 from harness.columns import ColumnMethod, Columns, Float
 from harness.fitting import ModuleMethod, Targets
+from harness.fitting.precision import PRECISIONS, checked_precision
 from harness.nets import MLP, ConditionEncoder
-from harness.nets.lobes import softmax_columns
-from harness.protocol import Budget, Material
+from harness.nets.extremes import FAR, held
+from harness.nets.lobes import log_weight, weight_columns
+from harness.protocol import Budget, Knob, Material
 
 _LOG_EXPONENT_RANGE = 14.0
 _OFF_RIM = 1 - 1e-6
@@ -48,9 +49,16 @@ class BlinnPhong(ModuleMethod, ColumnMethod):
 
     name = "blinn-phong"
     learning_rate: ClassVar[float] = 2e-2
+    knobs: ClassVar[tuple[Knob, ...]] = (
+        Knob("width", (8, 16, 32, 64), "neurons of a hidden layer"),
+        Knob("layers", (1, 2, 3), "hidden layers"),
+        Knob("precision", PRECISIONS, "of the weights: bytes on disk, no time"),
+        Knob("budget.steps", (100, 300, 1000, 3000), "optimiser steps"),
+    )
 
-    def __init__(self, width: int = 32, layers: int = 1):
+    def __init__(self, width: int = 32, layers: int = 1, precision: str = "float32"):
         self.width, self.layers = width, layers
+        self.precision = checked_precision(precision, self.name)
 
     def build(self, material: Material) -> nn.Module:
         """Outputs: raw log exponent, and the logit of the glossy share."""
@@ -79,9 +87,8 @@ class BlinnPhong(ModuleMethod, ColumnMethod):
             - torch.log(cos)
             - math.log(4 * math.pi)
         )
-        mixture = torch.logaddexp(
-            logsigmoid(-logit) - math.log(math.pi), logsigmoid(logit) + glossy
-        )
+        diffuse, share = log_weight(torch.stack([torch.zeros_like(logit), logit], -1)).unbind(-1)
+        mixture = torch.logaddexp(diffuse - math.log(math.pi), share + glossy)
         return torch.where(inside, mixture, -math.inf)
 
     def pdf_columns(self, c: Columns, wo: Columns) -> Float:
@@ -109,10 +116,25 @@ class BlinnPhong(ModuleMethod, ColumnMethod):
         y = dr.select(lambertian, radius * sin_phi, y)
         return x, y, self._pdf(diffuse, glossy, n, wi, x, y)
 
+    def extremes(self) -> dict[str, dict[str, Tensor]]:
+        """See :meth:`Method.extremes`: exponent and weights at the ends of their range.
+
+        Both weights are equal in ``exponent-to-...``: without weight its lobe would not be seen.
+        """
+        raw, logit = 0, 1
+        state, held = self.state_dict(), self.module.held
+        equal = held(state, logit, 0)
+        return {
+            "exponent-to-0": held(equal, raw, -FAR),
+            "exponent-to-infinity": held(equal, raw, FAR),
+            "weights-to-0": held(state, logit, -FAR),
+            "uniform-to-0": held(state, logit, FAR),
+        }
+
     def _parameters(self, c: Columns) -> tuple[Float, Float, Float]:
         """Diffuse weight, glossy weight, exponent."""
         raw, logit = self.module.columns(c)
-        diffuse, glossy = softmax_columns([type(logit)(0), logit])
+        diffuse, glossy = weight_columns([type(logit)(0), logit])
         return diffuse, glossy, dr.exp(log_exponent_columns(raw))
 
     def _pdf(
@@ -146,6 +168,15 @@ class LocalNetwork(nn.Module):
         if self.n_features:
             return self.mlp(self.encoder(condition)[..., : self.n_features])
         return self.constant.expand(*condition.shape[:-1], -1)
+
+    def held(self, state: dict[str, Tensor], output: int, value: float) -> dict[str, Tensor]:
+        """A ``state`` of this network in which ``output`` is ``value`` for any features."""
+        if self.n_features:
+            last = f"mlp.layers.{len(self.mlp.layers) - 1}"
+            return held(state, last, slice(output, output + 1), value)
+        constant = state["constant"].clone()
+        constant[output] = value
+        return {**state, "constant": constant}
 
     def columns(self, c: Columns) -> Columns:
         """The same over columns."""

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import math
+from typing import ClassVar
 
 import torch
 from torch import Tensor, nn
 
 from harness.fitting import ModuleMethod, Targets
+from harness.fitting.precision import PRECISIONS, checked_precision
 from harness.nets import ConditionalMLP
 from harness.nets.mlp import split_rows
 from harness.nets.squares import Squares
-from harness.protocol import Budget, DiskSample, InputError, Material
+from harness.protocol import Budget, DiskSample, InputError, Knob, Material
 
 LOSSES = ("mse", "kl")
 _CHUNK = {"cpu": 1024}
@@ -68,6 +70,13 @@ class Histogram(ModuleMethod):
     uniforms = 2
     learning_rate = 3e-3
     weight_decay = 0.0
+    knobs: ClassVar[tuple[Knob, ...]] = (
+        Knob("resolution", (8, 16, 32, 64), "cells a side"),
+        Knob("width", (8, 16, 32, 64), "neurons of a hidden layer"),
+        Knob("layers", (1, 2, 3), "hidden layers"),
+        Knob("precision", PRECISIONS, "of the weights: bytes on disk, no time"),
+        Knob("budget.steps", (100, 300, 1000, 3000), "optimiser steps"),
+    )
 
     def __init__(
         self,
@@ -76,6 +85,7 @@ class Histogram(ModuleMethod):
         layers: int = 3,
         loss: str = "mse",
         uniform: float = 0.01,
+        precision: str = "float32",
     ):
         if loss not in LOSSES:
             raise InputError(f"{self.name}: loss is '{loss}'; expected one of {LOSSES}")
@@ -86,6 +96,7 @@ class Histogram(ModuleMethod):
             )
         self.resolution, self.width, self.layers = resolution, width, layers
         self.loss_name, self.uniform = loss, uniform
+        self.precision = checked_precision(precision, self.name)
 
     def build(self, material: Material) -> Cells:
         """A fresh network."""
@@ -111,8 +122,15 @@ class Histogram(ModuleMethod):
         found = self.module(condition).gather(1, self._cell(wo)[0])
         return (weight * (found - wanted).square()).mean()
 
+    def reference_pdf(self, condition: Tensor, wo: Tensor) -> Tensor | None:
+        """See :meth:`Method.reference_pdf`."""
+        inside = ((wo >= -1) & (wo <= 1)).all(-1)
+        return torch.where(inside, super().reference_pdf(condition, wo), 0)
+
     def sample(self, condition: Tensor, u: Tensor) -> DiskSample:
         """See :meth:`Method.sample`."""
+        # Other precisions are answered as the numbers they hold: the network is in single.
+        condition, u = condition.float(), u.float()
         n = self.resolution
         wo, pdf = condition.new_empty(len(u), 2), condition.new_empty(len(u))
         start = 0
@@ -133,6 +151,7 @@ class Histogram(ModuleMethod):
 
     def pdf(self, condition: Tensor, wo: Tensor) -> Tensor:
         """See :meth:`Method.pdf`."""
+        condition, wo = condition.float(), wo.float()
         pdf = condition.new_empty(len(wo))
         start = 0
         with torch.inference_mode():

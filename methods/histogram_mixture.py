@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import copy
 import time
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import drjit as dr
 import torch
@@ -11,12 +12,13 @@ from torch import Tensor, nn
 
 from harness.columns import ColumnMethod, Columns, Float
 from harness.fitting import ModuleMethod, Targets
+from harness.fitting.precision import PRECISIONS, checked_precision
 from harness.nets import ConditionalMLP
 from harness.nets.alias import AliasTables
 from harness.nets.basis import BasisHistograms, Volume
 from harness.nets.lobes import softmax_columns
 from harness.nets.squares import Squares
-from harness.protocol import Budget, FitReport, InputError, Material
+from harness.protocol import Budget, FitReport, InputError, Knob, Material
 
 LOSSES = ("mse", "kl")
 ROTATIONS = ("azimuth", "free")
@@ -110,6 +112,15 @@ class HistogramMixture(ModuleMethod, ColumnMethod):
     name = "histogram-mixture"
     learning_rate = 1e-2
     weight_decay = 0.0
+    knobs: ClassVar[tuple[Knob, ...]] = (
+        Knob("bases", (2, 5, 10, 20), "basis histograms, K"),
+        Knob("levels", (10, 30, 100, 300), "latent codes that are baked, T"),
+        Knob("resolution", (16, 32, 64, 128), "cells a side of a baked histogram"),
+        Knob("width", (8, 16, 32, 64), "neurons of a hidden layer"),
+        Knob("layers", (1, 2, 3), "hidden layers"),
+        Knob("precision", PRECISIONS, "of the weights: bytes on disk, no time"),
+        Knob("budget.steps", (100, 300, 1000, 3000), "optimiser steps"),
+    )
 
     def __init__(
         self,
@@ -125,6 +136,7 @@ class HistogramMixture(ModuleMethod, ColumnMethod):
         uniform: float = 0.01,
         fit_levels: int = 8,
         fit_resolution: int = 24,
+        precision: str = "float32",
     ):
         for value, known, what in ((loss, LOSSES, "loss"), (rotation, ROTATIONS, "rotation")):
             if value not in known:
@@ -140,6 +152,7 @@ class HistogramMixture(ModuleMethod, ColumnMethod):
         self.width, self.layers = width, layers
         self.basis_width, self.basis_layers = basis_width, basis_layers
         self.loss_name, self.rotation, self.uniform = loss, rotation, uniform
+        self.precision = checked_precision(precision, self.name)
         self.fit_levels, self.fit_resolution = fit_levels, fit_resolution
         self._baked: tuple[tuple, AliasTables, dict] | None = None
 
@@ -196,6 +209,13 @@ class HistogramMixture(ModuleMethod, ColumnMethod):
         value = tables.density.to(wo.device)[(which[:, None] * n + y) * n + x]
         value = torch.where(local.abs().amax(-1) < 1 + 1e-6, value, 0)
         return (gates.log_weight.exp()[:, None] * value).sum(-1).log()
+
+    @torch.no_grad()
+    def reference_pdf(self, condition: Tensor, wo: Tensor) -> Tensor | None:
+        """See :meth:`Method.reference_pdf`: the gates in doubles, over the tables as baked."""
+        plain, net = copy.copy(self), self.module
+        plain.module = Mixture(copy.deepcopy(net.gate).double(), net.basis, net.turn_with_wi)
+        return plain.log_prob(condition.double(), wo.double()[:, None])[:, 0].exp()
 
     @torch.no_grad()
     def bake(self) -> AliasTables:

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-import torch
+from typing import ClassVar
+
 from torch import Tensor, nn
 
 from harness.columns import Columns
 from harness.fitting import LobeMethod
+from harness.fitting.precision import PRECISIONS, checked_precision
 from harness.nets import ConditionalMLP, lobes
-from harness.protocol import Material
+from harness.protocol import Knob, Material
 
 
 class ImprovedBaseline(LobeMethod):
@@ -22,9 +24,16 @@ class ImprovedBaseline(LobeMethod):
     """
 
     name = "improved-baseline"
+    knobs: ClassVar[tuple[Knob, ...]] = (
+        Knob("width", (8, 16, 32, 64), "neurons of a hidden layer"),
+        Knob("layers", (1, 2, 3), "hidden layers"),
+        Knob("precision", PRECISIONS, "of the weights: bytes on disk, no time"),
+        Knob("budget.steps", (100, 300, 1000, 3000), "optimiser steps"),
+    )
 
-    def __init__(self, width: int = 32, layers: int = 3):
+    def __init__(self, width: int = 32, layers: int = 3, precision: str = "float32"):
         self.width, self.layers = width, layers
+        self.precision = checked_precision(precision, self.name)
 
     def build(self, material: Material) -> nn.Module:
         """Outputs: mean x, mean y, log sigma, and the logits of the two weights."""
@@ -36,12 +45,10 @@ class ImprovedBaseline(LobeMethod):
         """See :meth:`LobeMethod.lobes`."""
         out = self.module(condition)
         sigma = lobes.log_sigma(out[..., 2:3]).expand(*out.shape[:-1], 2)
-        return lobes.Lobes(
-            torch.log_softmax(out[..., 3:], -1), out[..., None, :2], sigma[..., None, :]
-        )
+        return lobes.Lobes(lobes.log_weight(out[..., 3:]), out[..., None, :2], sigma[..., None, :])
 
     def lobes_columns(self, c: Columns) -> lobes.ColumnLobes:
         """See :meth:`LobeMethod.lobes_columns`."""
         mx, my, raw, *logits = self.module.columns(c)
         sigma = lobes.log_sigma_columns(raw)
-        return lobes.ColumnLobes(lobes.softmax_columns(logits), [(mx, my)], [(sigma, sigma)])
+        return lobes.ColumnLobes(lobes.weight_columns(logits), [(mx, my)], [(sigma, sigma)])

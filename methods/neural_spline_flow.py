@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import copy
+from typing import ClassVar
+
 import drjit as dr
 import torch
 from torch import Tensor, nn
 
 from harness.columns import ColumnMethod, Columns, Float
 from harness.fitting import ModuleMethod
+from harness.fitting.precision import PRECISIONS, checked_precision
 from harness.nets import MLP, ConditionEncoder, defensive, lobes, spline
-from harness.nets.coupling import CouplingNet, unit_normal_columns
-from harness.protocol import InputError, Material
+from harness.nets.coupling import CouplingNet, uniforms_of_normal, unit_normal_columns
+from harness.nets.extremes import FAR, held
+from harness.protocol import InputError, Knob, Material
 
 _START = -0.7
 """Log sigma of the base before fitting: half the disk's radius, broad but mostly inside."""
@@ -19,19 +24,38 @@ _START = -0.7
 class SplineFlow(nn.Module):
     """The networks: condition -> base Gaussian; other coordinate and condition -> spline.
 
-    Last layers start at zero: every condition starts with identity splines over one
-    broad Gaussian.
+    Coupling i warps x given y where i is even, y given x where it is odd. Last layers start
+    at zero: every condition starts with identity splines over one broad Gaussian.
     """
 
-    def __init__(self, material: Material, width: int, bins: int, frequencies: int):
+    def __init__(
+        self,
+        material: Material,
+        width: int,
+        layers: int,
+        bins: int,
+        couplings: int,
+        frequencies: int,
+    ):
         super().__init__()
         self.encoder = ConditionEncoder(material.n_address, material.n_features)
         encoded, numbers = self.encoder.width, spline.outputs(bins)
         self.base = MLP([encoded, width, 4], "leaky_relu", zero_last=True)
         with torch.no_grad():
             self.base.layers[-1].bias[2:] = _START
-        self.x_given_y = CouplingNet(encoded, width, numbers, frequencies)
-        self.y_given_x = CouplingNet(encoded, width, numbers, frequencies)
+        self.couplings = nn.ModuleList(
+            CouplingNet(encoded, width, numbers, frequencies, layers) for _ in range(couplings)
+        )
+
+    @property
+    def x_given_y(self) -> CouplingNet:
+        """The first coupling."""
+        return self.couplings[0]
+
+    @property
+    def y_given_x(self) -> CouplingNet:
+        """The second."""
+        return self.couplings[1]
 
 
 class NeuralSplineFlow(ModuleMethod, ColumnMethod):
@@ -58,6 +82,9 @@ class NeuralSplineFlow(ModuleMethod, ColumnMethod):
     0 is the flow as published. The last network runs again at the rounded sample, so that its
     density is bit for bit the one :meth:`pdf` gives.
 
+    ``couplings`` is how many splines in turn, x first; the paper has two. Each more is another
+    network to run, twice a sample.
+
     Deviations from the public release: log sigma and derivatives are bounded smoothly
     instead of left free, last layers start at zero, and the step size is larger, without
     which short fits end far from their plateau.
@@ -67,6 +94,15 @@ class NeuralSplineFlow(ModuleMethod, ColumnMethod):
     uniforms = 3
     learning_rate = 1e-2
 
+    knobs: ClassVar[tuple[Knob, ...]] = (
+        Knob("bins", (3, 5, 10, 20, 40), "bins of each spline"),
+        Knob("couplings", (1, 2, 3, 4), "splines in turn, alternating x and y"),
+        Knob("width", (8, 16, 32, 64), "neurons of a hidden layer"),
+        Knob("layers", (1, 2, 3), "hidden layers of a coupling's network"),
+        Knob("precision", PRECISIONS, "of the weights: bytes on disk, no time"),
+        Knob("budget.steps", (100, 300, 1000, 3000), "optimiser steps"),
+    )
+
     def __init__(
         self,
         width: int = 32,
@@ -74,36 +110,71 @@ class NeuralSplineFlow(ModuleMethod, ColumnMethod):
         frequencies: int = 4,
         domain: str = "disk",
         uniform: float = 0.01,
+        layers: int = 2,
+        couplings: int = 2,
+        precision: str = "float32",
     ):
         if not 2 <= bins < 500:
             raise InputError(f"{self.name}: bins is {bins}; expected 2 to 499")
         if domain not in ("disk", "square"):
             raise InputError(f"{self.name}: domain is '{domain}'; expected 'disk' or 'square'")
-        self.width, self.bins, self.frequencies = width, bins, frequencies
+        if min(couplings, layers) < 1:
+            raise InputError(
+                f"{self.name}: expected at least one of couplings and layers,"
+                f" not {couplings} and {layers}"
+            )
+        self.width, self.layers, self.bins, self.frequencies = width, layers, bins, frequencies
+        self.couplings = couplings
         self.square = domain == "square"
         self.uniform = defensive.checked_share(uniform, self.name)
+        self.precision = checked_precision(precision, self.name)
 
     def build(self, material: Material) -> nn.Module:
         """See :meth:`ModuleMethod.build`."""
-        return SplineFlow(material, self.width, self.bins, self.frequencies)
+        return SplineFlow(
+            material, self.width, self.layers, self.bins, self.couplings, self.frequencies
+        )
 
     def log_prob(self, condition: Tensor, wo: Tensor) -> Tensor:
         """Log density [B, D]."""
-        net = self.module
+        z, log_slope = self._to_base(self.module, condition, wo)
+        flow = -0.5 * z.square().sum(-1) - lobes.LOG_2PI + log_slope
+        return defensive.log_mixed(flow, wo, self.uniform)
+
+    @torch.no_grad()
+    def inverse(self, condition: Tensor, wo: Tensor) -> Tensor:
+        """See :meth:`Method.inverse`: the uniforms [N, 3] of the flow's branch, in double."""
+        net = copy.deepcopy(self.module).double()
+        z, _ = self._to_base(net, condition.double(), wo[:, None].double())
+        u = uniforms_of_normal(z[:, 0])
+        # The middle of what is not the uniform share's.
+        return torch.cat([u, torch.full_like(u[:, :1], (1 + self.uniform) / 2)], 1)
+
+    def extremes(self) -> dict[str, dict[str, Tensor]]:
+        """See :meth:`Method.extremes`: the Gaussian at its narrowest and its widest."""
+        last = f"base.layers.{len(self.module.base.layers) - 1}"
+        return {
+            name: held(self.state_dict(), last, slice(2, 4), raw)
+            for name, raw in (("scale-to-0", -FAR), ("scale-to-infinity", FAR))
+        }
+
+    def _to_base(self, net: SplineFlow, condition: Tensor, wo: Tensor) -> tuple[Tensor, Tensor]:
+        """Standard normal z [B, D, 2] that becomes ``wo``, and log |dz / dwo| [B, D]."""
         encoded = net.encoder(condition)
         mean, raw = net.base(encoded)[:, None].chunk(2, -1)
         log_sigma = lobes.log_sigma(raw)
-        x, y = wo.unbind(-1)
-        log_chord = torch.zeros_like(y)
+        at = list(wo.unbind(-1))
+        log_slope = -log_sigma.sum(-1)
         if self.square:
-            squared = (1 - y) * (1 + y)
+            squared = (1 - at[1]) * (1 + at[1])
             log_chord = 0.5 * torch.where(squared > 0, squared, 1).log()
-            x = x * torch.exp(-log_chord)
-        x, log_x = spline.warp(net.x_given_y(y, encoded), x)
-        y, log_y = spline.warp(net.y_given_x(x, encoded), y)
-        z = (torch.stack([x, y], -1) - mean) * torch.exp(-log_sigma)
-        base = -0.5 * z.square().sum(-1) - log_sigma.sum(-1) - lobes.LOG_2PI
-        return defensive.log_mixed(base + log_x + log_y - log_chord, wo, self.uniform)
+            at[0] = at[0] * torch.exp(-log_chord)
+            log_slope = log_slope - log_chord
+        for i, coupling in enumerate(net.couplings):
+            own, other = i % 2, 1 - i % 2
+            at[own], log_own = spline.warp(coupling(at[other], encoded), at[own])
+            log_slope = log_slope + log_own
+        return (torch.stack(at, -1) - mean) * torch.exp(-log_sigma), log_slope
 
     def sample_columns(self, c: Columns, u: Columns) -> tuple[Float, Float, Float]:
         """See :meth:`ColumnMethod.sample_columns`."""
@@ -112,11 +183,15 @@ class NeuralSplineFlow(ModuleMethod, ColumnMethod):
         mean, log_sigma = base = self._base(encoded)
         elsewhere = u[2] < self.uniform
         there = defensive.uniform_disk_columns(u)
-        x, y = (
+        at = [
             dr.fma(z, dr.exp(s), m)
             for z, s, m in zip(unit_normal_columns(u), log_sigma, mean, strict=True)
-        )
-        y, _ = spline.unwarp_columns(net.y_given_x.columns(x, encoded), y)
+        ]
+        for i in range(self.couplings - 1, 0, -1):
+            own, other = i % 2, 1 - i % 2
+            numbers = net.couplings[i].columns(at[other], encoded)
+            at[own], _ = spline.unwarp_columns(numbers, at[own])
+        x, y = at
         y = dr.select(elsewhere, there[1], y)
         numbers = net.x_given_y.columns(y, encoded)
         x, _ = spline.unwarp_columns(numbers, x)
@@ -151,9 +226,14 @@ class NeuralSplineFlow(ModuleMethod, ColumnMethod):
         wo: Columns,
     ) -> Float:
         """Density at ``wo``; ``numbers`` are the first spline's, which depend on y alone."""
-        x, slope_x = spline.warp_columns(numbers, wo[0] / chord)
-        y, slope_y = spline.warp_columns(self.module.y_given_x.columns(x, encoded), wo[1])
+        x, slope = spline.warp_columns(numbers, wo[0] / chord)
+        at = [x, wo[1]]
+        for i in range(1, self.couplings):
+            own, other = i % 2, 1 - i % 2
+            coupling = self.module.couplings[i]
+            at[own], slope_own = spline.warp_columns(coupling.columns(at[other], encoded), at[own])
+            slope = slope * slope_own
         (mx, my), (sx, sy) = base
-        zx, zy = (x - mx) * dr.exp(-sx), (y - my) * dr.exp(-sy)
+        zx, zy = (at[0] - mx) * dr.exp(-sx), (at[1] - my) * dr.exp(-sy)
         normal = dr.exp(-0.5 * dr.fma(zx, zx, zy * zy) - sx - sy - lobes.LOG_2PI)
-        return defensive.mixed_columns(normal * (slope_x * slope_y / chord), wo, self.uniform)
+        return defensive.mixed_columns(normal * (slope / chord), wo, self.uniform)

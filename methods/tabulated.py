@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import ClassVar
 
 import torch
 from torch import Tensor
@@ -11,6 +12,7 @@ from harness.fitting.targets import tabulate
 from harness.protocol import (
     DiskSample,
     InputError,
+    Knob,
     Material,
     Method,
     disk_to_square,
@@ -47,6 +49,9 @@ class Tabulated(Method):
 
     name = "tabulated"
     uniforms = 2
+    knobs: ClassVar[tuple[Knob, ...]] = (
+        Knob("resolution", (8, 16, 32, 64, 128, 512, 2048), "cells a side of each row's table"),
+    )
 
     def __init__(self, resolution: int = 2048, defensive: float = 2**-7):
         if resolution < 1:
@@ -62,8 +67,19 @@ class Tabulated(Method):
         self._last = None
 
     @torch.no_grad()
+    def reference_pdf(self, condition: Tensor, wo: Tensor) -> Tensor | None:
+        """See :meth:`Method.reference_pdf`: cells and sums in double, the material as it is."""
+        distinct, group = _runs(condition.float())
+        total = torch.cat(
+            [self._table(distinct[rows]).double().sum((1, 2)) for rows in self._chunks(distinct)]
+        )
+        return self._density(condition.float(), wo.double(), total[group])
+
+    @torch.no_grad()
     def sample(self, condition: Tensor, u: Tensor) -> DiskSample:
         """See :meth:`Method.sample`."""
+        # Other precisions are answered as the numbers they hold, as the tables are in single.
+        condition, u = condition.float(), u.float()
         distinct, group = _runs(condition)
         wo = condition.new_empty(len(condition), 2)
         total = condition.new_empty(len(distinct), dtype=torch.float64)
@@ -80,6 +96,7 @@ class Tabulated(Method):
     @torch.no_grad()
     def pdf(self, condition: Tensor, wo: Tensor) -> Tensor:
         """See :meth:`Method.pdf`."""
+        condition, wo = condition.float(), wo.float()
         distinct, group = _runs(condition)
         return self._density(condition, wo, self._totals(distinct)[group])
 
@@ -115,8 +132,10 @@ class Tabulated(Method):
 
     def _invert(self, weight: Tensor, table: Tensor, u: Tensor) -> Tensor:
         """Points of the disk [N, 2] from ``weight[table]``, tables [T, R, R] and indices [N]."""
-        i, a = _invert(weight.sum(2)[table], u[:, 0])
-        j, b = _invert(weight[table, i], u[:, 1])
+        i, a = _invert(weight.sum(2), table, u[:, 0])
+        # Only rows that are wanted, each once: a batch of one condition shares them.
+        rows, mine = torch.unique(table * self.resolution + i, return_inverse=True)
+        j, b = _invert(weight.flatten(0, 1)[rows], mine, u[:, 1])
         return square_to_disk(torch.stack([i + a, j + b], -1) / self.resolution).to(u.dtype)
 
     def _density(self, condition: Tensor, wo: Tensor, total: Tensor) -> Tensor:
@@ -142,13 +161,20 @@ def _runs(condition: Tensor) -> tuple[Tensor, Tensor]:
     return torch.unique_consecutive(condition, dim=0, return_inverse=True)
 
 
-def _invert(mass: Tensor, u: Tensor) -> tuple[Tensor, Tensor]:
-    """Cell and place in it, [N] each, where the cdf of ``mass`` [N, R] reaches ``u`` [N]."""
-    cdf = mass.double().cumsum(1)
-    target = u.double()[:, None] * cdf[:, -1:]
-    # u < 1, so the target is below the cdf's end and the cell found has mass. Only a row of
-    # nan finds none; any cell of it has a density of nan.
-    cell = torch.searchsorted(cdf, target, right=True).clamp(max=mass.shape[1] - 1)
-    above = cdf.gather(1, cell)
-    width = mass.double().gather(1, cell)
-    return cell[:, 0], (1 - (above - target) / width)[:, 0]
+def _invert(mass: Tensor, row: Tensor, u: Tensor) -> tuple[Tensor, Tensor]:
+    """Cell and place in it, [N] each, where the cdf of ``mass[row]`` reaches ``u`` [N].
+
+    ``mass`` is [M, R], ``row`` [N] indexes it.
+    """
+    cdf, width = mass.double().cumsum(1).flatten(), mass.shape[1]
+    first = row * width
+    target = u.double() * cdf.index_select(0, first + (width - 1))
+    # u < 1, so the target is below the cdf's end and the cell found has mass. A row of nan
+    # compares with nothing; any cell of it has a density of nan.
+    cell = torch.zeros_like(row)
+    for step in (2**k for k in reversed(range((width - 1).bit_length()))):
+        ahead = cell + step
+        passed = cdf.index_select(0, first + (ahead - 1).clamp(max=width - 1)) <= target
+        cell = torch.where(passed & (ahead < width), ahead, cell)
+    own = mass.flatten().index_select(0, first + cell).double()
+    return cell, 1 - (cdf.index_select(0, first + cell) - target) / own

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-import torch
+from typing import ClassVar
+
 from torch import Tensor, nn
 
 from harness.columns import Columns
 from harness.fitting import LobeMethod
+from harness.fitting.precision import PRECISIONS, checked_precision
 from harness.nets import ConditionalMLP, lobes
-from harness.protocol import Material
+from harness.protocol import InputError, Knob, Material
 
 
 class TwoLobe(LobeMethod):
@@ -23,34 +25,50 @@ class TwoLobe(LobeMethod):
     the condition. Density per disk area; the Gaussians reach beyond the disk, and what falls
     there is an invalid sample. Uses three uniforms.
 
+    ``lobes`` is how many Gaussians there are, L; the paper has two. The network then has
+    2 L means, 2 L log standard deviations and 1 + L logits, in this order.
+
     Differs from the public release in that log sigma is bounded smoothly
     (:func:`harness.nets.lobes.log_sigma`), where the release takes it as it comes.
     """
 
     name = "two-lobe"
+    knobs: ClassVar[tuple[Knob, ...]] = (
+        Knob("lobes", (1, 2, 3, 4, 8), "Gaussian lobes beside the Lambertian one"),
+        Knob("width", (8, 16, 32, 64), "neurons of a hidden layer"),
+        Knob("layers", (1, 2, 3), "hidden layers"),
+        Knob("precision", PRECISIONS, "of the weights: bytes on disk, no time"),
+        Knob("budget.steps", (100, 300, 1000, 3000), "optimiser steps"),
+    )
 
-    def __init__(self, width: int = 32, layers: int = 1):
-        self.width, self.layers = width, layers
+    def __init__(
+        self, width: int = 32, layers: int = 1, lobes: int = 2, precision: str = "float32"
+    ):
+        if lobes < 1:
+            raise InputError(f"{self.name}: lobes is {lobes}; expected at least 1")
+        self.width, self.layers, self.count = width, layers, lobes
+        self.precision = checked_precision(precision, self.name)
 
     def build(self, material: Material) -> nn.Module:
-        """Outputs: mean (x, y) of both lobes, log sigma (x, y) of both, three logits."""
-        net = ConditionalMLP(material, [self.width] * self.layers, 11)
-        lobes.start_narrow(net.mlp.layers[-1], slice(4, 8))
+        """Outputs: means (x, y) of all lobes, log sigmas (x, y) of all, logits."""
+        n = self.count
+        net = ConditionalMLP(material, [self.width] * self.layers, 5 * n + 1)
+        lobes.start_narrow(net.mlp.layers[-1], slice(2 * n, 4 * n))
         return net
 
     def lobes(self, condition: Tensor) -> lobes.Lobes:
         """See :meth:`LobeMethod.lobes`."""
-        out = self.module(condition)
-        mean = out[..., 0:4].unflatten(-1, (2, 2))
-        sigma = lobes.log_sigma(out[..., 4:8]).unflatten(-1, (2, 2))
-        return lobes.Lobes(torch.log_softmax(out[..., 8:], -1), mean, sigma)
+        n, out = self.count, self.module(condition)
+        mean = out[..., : 2 * n].unflatten(-1, (n, 2))
+        sigma = lobes.log_sigma(out[..., 2 * n : 4 * n]).unflatten(-1, (n, 2))
+        return lobes.Lobes(lobes.log_weight(out[..., 4 * n :]), mean, sigma)
 
     def lobes_columns(self, c: Columns) -> lobes.ColumnLobes:
         """See :meth:`LobeMethod.lobes_columns`."""
-        out = self.module.columns(c)
-        s = [lobes.log_sigma_columns(raw) for raw in out[4:8]]
+        n, out = self.count, self.module.columns(c)
+        mean, sigma = out[: 2 * n], [lobes.log_sigma_columns(r) for r in out[2 * n : 4 * n]]
         return lobes.ColumnLobes(
-            lobes.softmax_columns(out[8:]),
-            [(out[0], out[1]), (out[2], out[3])],
-            [(s[0], s[1]), (s[2], s[3])],
+            lobes.weight_columns(out[4 * n :]),
+            list(zip(mean[0::2], mean[1::2], strict=True)),
+            list(zip(sigma[0::2], sigma[1::2], strict=True)),
         )

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import copy
 from abc import abstractmethod
 from typing import ClassVar
 
 import torch
 from torch import Tensor, nn
 
+from harness.fitting.precision import round_weights, shortened
 from harness.fitting.targets import Targets
 from harness.fitting.train import minimise
 from harness.nets.encoding import ConditionEncoder
@@ -25,6 +27,9 @@ class ModuleMethod(Method):
     learning_rate: ClassVar[float] = 5e-4
     weight_decay: ClassVar[float] = 1e-5
 
+    precision: str = "float32"
+    """``bfloat16`` rounds the weights after fitting and stores them in half the bytes."""
+
     module: nn.Module
 
     @abstractmethod
@@ -34,6 +39,13 @@ class ModuleMethod(Method):
     def log_prob(self, condition: Tensor, wo: Tensor) -> Tensor:
         """Differentiable log density [B, D] at ``condition`` [B, C], ``wo`` [B, D, 2]."""
         raise NotImplementedError(f"{type(self).__name__} gives neither log_prob nor loss")
+
+    def reference_pdf(self, condition: Tensor, wo: Tensor) -> Tensor | None:
+        """See :meth:`Method.reference_pdf`: :meth:`log_prob` with the module in doubles."""
+        plain = copy.copy(self)
+        plain.module = copy.deepcopy(self.module).double()
+        with torch.no_grad():
+            return plain.log_prob(condition.double(), wo.double()[:, None])[:, 0].exp()
 
     def loss(self, targets: Targets, budget: Budget, generator: torch.Generator) -> Tensor:
         """The quantity to minimise, on one batch."""
@@ -45,6 +57,7 @@ class ModuleMethod(Method):
         if self.material is not material:
             self.material = material
             self.module = self.build(material).eval()
+            round_weights(self.module, self.precision)
 
     def fit(self, material: Material, budget: Budget, generator: torch.Generator) -> FitReport:
         """See :meth:`Method.fit`."""
@@ -55,7 +68,7 @@ class ModuleMethod(Method):
             self.module = self.build(material)
         targets = Targets.build(material, budget, generator)
         self.prepare(targets)
-        return minimise(
+        report = minimise(
             self.module,
             lambda: self.loss(targets, budget, generator),
             targets,
@@ -63,6 +76,8 @@ class ModuleMethod(Method):
             learning_rate=self.learning_rate,
             weight_decay=self.weight_decay,
         )
+        round_weights(self.module, self.precision)
+        return report
 
     def prepare(self, targets: Targets) -> None:
         """Look at the targets once before fitting; by default standardises every encoder."""
@@ -72,10 +87,11 @@ class ModuleMethod(Method):
 
     def state_dict(self) -> dict[str, Tensor]:
         """See :meth:`Method.state_dict`."""
-        return {k: v.detach().cpu() for k, v in self.module.state_dict().items()}
+        return shortened(self.module, self.precision)
 
     def load_state_dict(self, state: dict[str, Tensor]) -> None:
         """See :meth:`Method.load_state_dict`; ``bind`` first. Moves to the state's device."""
         self.module.to(next(iter(state.values())).device)
         self.module.load_state_dict(state)
+        round_weights(self.module, self.precision)
         self.module.eval()

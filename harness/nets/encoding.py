@@ -8,6 +8,8 @@ from torch import Tensor, nn
 
 from harness.columns.bridge import Columns, Float
 
+_NO_PHASE = float(2**24)
+
 
 def sinusoids(x: Tensor, frequencies: int) -> Tensor:
     """``x`` and its sines and cosines at 1, 2, 4, ...: [..., D] -> [..., D (1 + 2 F)]."""
@@ -18,9 +20,14 @@ def sinusoids(x: Tensor, frequencies: int) -> Tensor:
 
 
 def sinusoids_columns(x: Columns, frequencies: int) -> Columns:
-    """:func:`sinusoids` over columns, higher frequencies by the double-angle formulas."""
+    """:func:`sinusoids` over columns, higher frequencies by the double-angle formulas.
+
+    Beyond 2^24, where neighbouring numbers are further apart than a radian and have no phase, the
+    angle is taken as zero: Dr.Jit's sine is infinite from 1e9 on.
+    """
     parts = list(x)
-    waves = [dr.sincos(v) for v in x]
+    # So compared, a nan stays one.
+    waves = [dr.sincos(dr.select(dr.abs(v) > _NO_PHASE, 0, v)) for v in x]
     for k in range(frequencies):
         parts += [s for s, _ in waves] + [c for _, c in waves]
         if k + 1 < frequencies:

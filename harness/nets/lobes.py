@@ -19,7 +19,7 @@ from torch import Tensor, nn
 from harness.columns.bridge import Columns, Float
 
 LOG_2PI = math.log(2 * math.pi)
-_LOG_SIGMA_RANGE = 10.0
+_RANGE = 10.0
 _START = -1.0
 
 
@@ -45,7 +45,17 @@ def log_sigma(raw: Tensor) -> Tensor:
     ``10 tanh(raw / 10)`` is the identity where lobes live and keeps sigma between 5e-5 and
     2e4 for any input, where single precision still squares it.
     """
-    return _LOG_SIGMA_RANGE * torch.tanh(raw / _LOG_SIGMA_RANGE)
+    return _RANGE * torch.tanh(raw / _RANGE)
+
+
+def log_weight(raw: Tensor) -> Tensor:
+    """Log weights [..., 1 + L] that sum to one, from a network's outputs.
+
+    Bounded like :func:`log_sigma` before they are normalised: plain logits far apart underflow,
+    and where the Lambertian lobe's weight is zero, light is lost. No weight is below e^-20 of
+    another's.
+    """
+    return torch.log_softmax(_RANGE * torch.tanh(raw / _RANGE), -1)
 
 
 def start_narrow(last: nn.Linear, outputs: slice) -> None:
@@ -60,7 +70,12 @@ def start_narrow(last: nn.Linear, outputs: slice) -> None:
 
 def log_sigma_columns(raw: Float) -> Float:
     """:func:`log_sigma` over a column."""
-    return _LOG_SIGMA_RANGE * dr.tanh(raw * (1 / _LOG_SIGMA_RANGE))
+    return _RANGE * dr.tanh(raw * (1 / _RANGE))
+
+
+def weight_columns(raw: Columns) -> Columns:
+    """The exponential of :func:`log_weight` over columns."""
+    return softmax_columns([_RANGE * dr.tanh(value * (1 / _RANGE)) for value in raw])
 
 
 def softmax_columns(raw: Columns) -> Columns:

@@ -85,7 +85,9 @@ def median_interval(x: ArrayLike, level: float = 0.95) -> Interval:
 def ratio_of_means(
     a: ArrayLike, b: ArrayLike, *, paired: bool = False, seed: Seed = 0, level: float = 0.95
 ) -> Interval:
-    """``mean(a) / mean(b)`` of positive values; symmetric studentised bootstrap of its log.
+    """``mean(a) / mean(b)`` of positive values, with the bias of a ratio of means taken off.
+
+    Symmetric studentised bootstrap of its log.
 
     ``paired``: ``a[i]`` and ``b[i]`` were taken together (interleaved rounds) and are
     resampled together; otherwise the two are independent and may differ in number.

@@ -14,6 +14,7 @@ from harness.protocol import InputError, nearest
 from harness.source import ROOT
 from harness.suite.refusal import refusal
 from harness.suite.schema import MethodSpec, NamedSpec, Suite
+from harness.suite.sweep import expand
 
 SUITES = ROOT / "suites"
 LISTS = ("materials", "methods", "scenes", "measures")
@@ -85,6 +86,7 @@ def load(name: str | Path) -> Loaded:
         raise InputError(f"{path}: {refusal(Suite, error)}") from None
     try:
         _label(suite.methods, path.parent)
+        suite.methods = expand(suite.methods)
         _locate_files([*suite.materials, *suite.scenes], path.parent)
         _check_references(suite)
     except InputError as error:

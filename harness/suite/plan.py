@@ -13,6 +13,7 @@ from harness.protocol import Budget, InputError, nearest
 from harness.source import digest
 from harness.suite.load import Loaded
 from harness.suite.schema import MethodSpec, NamedSpec, Profile, Suite
+from harness.suite.sweep import BUDGET
 from harness.suite.trials import FIT, Trial, counted_budget, hash_of
 
 Item = TypeVar("Item", NamedSpec, MethodSpec)
@@ -220,16 +221,29 @@ class _Expansion:
         return found
 
     def _overridden(self, method: MethodSpec) -> MethodSpec:
-        change = self.profile.override.get(method.label)
-        if change is None:
-            return method
-        return method.model_copy(update={"params": {**method.params, **change.params}})
+        """With the profile's parameters; those of a swept method reach its variants.
+
+        The knob that a variant stands for stays as it is, unless its own label is overridden.
+        """
+        params = {**method.params}
+        for label in (method.swept_from, method.label):
+            if label in self.profile.override:
+                kept = {method.knob} if label == method.swept_from else set()
+                given = self.profile.override[label].params
+                params |= {key: value for key, value in given.items() if key not in kept}
+        return method.model_copy(update={"params": params})
 
     def _budget(self, method: MethodSpec) -> Budget:
-        """Defaults < suite < profile < method < the profile's override of the method."""
+        """Defaults < suite < profile < method < the profile's override of the method.
+
+        As with parameters, the override of a swept method reaches its variants.
+        """
         given = self.suite.budget.given() | self.profile.budget.given() | method.budget.given()
-        if method.label in self.profile.override:
-            given |= self.profile.override[method.label].budget.given()
+        for label in (method.swept_from, method.label):
+            if label in self.profile.override:
+                kept = {method.knob} if label == method.swept_from else set()
+                change = self.profile.override[label].budget.given()
+                given |= {k: v for k, v in change.items() if BUDGET + k not in kept}
         return Budget(**given, device=self.device)
 
 

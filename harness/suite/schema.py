@@ -8,7 +8,14 @@ from __future__ import annotations
 
 from typing import Annotated, Any, TypeVar
 
-from pydantic import BaseModel, ConfigDict, Field, StringConstraints, model_validator
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Field,
+    PrivateAttr,
+    StringConstraints,
+    model_validator,
+)
 
 Word = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")]
 """A name that is also the name of a folder."""
@@ -46,10 +53,32 @@ class Override(Strict):
 
 
 class MethodSpec(Override):
-    """A method of the suite; ``label`` is what tables call it and must be unique."""
+    """A method of the suite; ``label`` is what tables call it and must be unique.
+
+    ``sweep`` makes several of it (:mod:`harness.suite.sweep`): values by knob, or ``knobs``
+    for all that the adapter declares.
+    """
 
     name: str
     label: str = ""
+    sweep: Any = None  # checked there, where the message can name the knobs
+
+    _swept_from: str = PrivateAttr("")
+    _knob: str = PrivateAttr("")
+
+    @property
+    def swept_from(self) -> str:
+        """Label of the method that this one is a variant of; "" if it was written out."""
+        return self._swept_from
+
+    @property
+    def knob(self) -> str:
+        """The one thing in which it differs from that method, as a sweep calls it."""
+        return self._knob
+
+    def set_apart(self, base: str, knob: str) -> None:
+        """Mark as the variant of the method labelled ``base`` in ``knob``."""
+        self._swept_from, self._knob = base, knob
 
 
 class NamedSpec(BaseModel):
