@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import functools
+import math
 
 import pytest
 import torch
@@ -272,23 +273,44 @@ def test_narrowest_and_widest(name):
         assert (wo.square().sum(1) >= 1).double().mean() > 0.4
 
 
-@pytest.mark.parametrize("name", LOBES)
+@pytest.mark.parametrize("name", ["improved-baseline", "two-lobe", "fan-baseline"])
 def test_weights_to_0(name):
-    """Without lobes, the uniform disk; without the uniform disk, one lobe has it all."""
+    """Without lobes, the uniform disk; without the uniform disk, a lobe that has it all."""
     uniform = loaded(name, CATALOGUE["weights-to-0"].alter(fitted(name), stream()))
     wo, pdf = outputs(uniform)
     torch.testing.assert_close(pdf, torch.full_like(pdf, 1 / torch.pi))
     assert (wo.square().sum(1) < 1).all()
     alone = loaded(name, CATALOGUE["uniform-to-0"].alter(fitted(name), stream()))
+    assert ((outputs(alone).pdf - 1 / torch.pi).abs() > 1e-6).double().mean() > 0.99
+
+
+def test_weights_to_0_of_blinn_phong():
+    """Its one logit ends at +-10 from the other's zero, so each lobe keeps e^-10 of the weight."""
+    share = 1 / (1 + math.exp(10))
+    condition = material("tilted").conditions(2048, stream(1))
+    wo = 0.9 * material("tilted").conditions(2048, stream(2))[:, -2:]
+    diffuse, glossy = (
+        loaded("blinn-phong", CATALOGUE[case].alter(fitted("blinn-phong"), stream()))
+        .pdf(condition, wo)
+        .double()
+        for case in ("weights-to-0", "uniform-to-0")
+    )
+    lobe = (glossy - share / math.pi) / (1 - share)
+    torch.testing.assert_close(diffuse, (1 - share) / math.pi + share * lobe, rtol=2e-6, atol=0)
+    # The lobe is there to be told from the disk, at nearly every direction.
+    assert ((lobe * math.pi - 1).abs() > 0.01).double().mean() > 0.9
+
+
+@pytest.mark.parametrize("name", ["improved-baseline", "two-lobe", "fan-baseline"])
+def test_weights_at_the_ends_of_their_range(name):
+    """One of them all but one, the others tiny; none is zero, where light would be lost."""
     condition = material("tilted").conditions(64, stream(7))
-    # Far off the disk only a Gaussian reaches: one of them has all the weight. Blinn-Phong's
-    # does not reach there; its pdf differs from the uniform one everywhere.
-    found = outputs(alone).pdf
-    assert ((found - 1 / torch.pi).abs() > 1e-6).double().mean() > 0.99
-    if name != "blinn-phong":
-        lobes = alone.lobes(condition)
-        assert (lobes.log_weight[:, 1] == 0).all()
-        assert (lobes.log_weight[:, 0] < -100).all()
+    for case, lit in (("weights-to-0", 0), ("uniform-to-0", 1)):
+        state = CATALOGUE[case].alter(fitted(name), stream())
+        weight = loaded(name, state).lobes(condition).log_weight.detach().exp()
+        assert (weight[:, lit] > 1 - 1e-6).all()
+        others = torch.cat([weight[:, :lit], weight[:, lit + 1 :]], 1)
+        assert ((others > 0) & (others < 1e-6)).all()
 
 
 @pytest.mark.parametrize("name", ["improved-baseline", "two-lobe", "fan-baseline"])

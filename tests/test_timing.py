@@ -264,7 +264,7 @@ def test_overhead_of_the_measuring(monkeypatch):
 
 @pytest.mark.parametrize(
     ("times", "calls"),
-    [([9, 3, 1, 1.05, 7], 4), ([1, 1, 7], 2), ([5, 1, 5, 1, 5, 1, 9], 6), ([50, 1, 1], 1)],
+    [([9, 3, 1, 1.05, 7], 4), ([1, 1, 7], 2), ([5, 1, 5, 1, 5, 1, 9], 6), ([50, 1, 1], 2)],
 )
 def test_warm_up_lasts_until_stable_or_for_its_time(times, calls):
     left = list(times)
@@ -273,9 +273,10 @@ def test_warm_up_lasts_until_stable_or_for_its_time(times, calls):
 
 
 def test_warm_up_counts_what_was_spent_before():
-    left = [1.0, 5.0]
+    left = [1.0, 5.0, 7.0]
     settle(lambda: left.pop(0), RoundSettings(warm_up=3), spent=2.5)
-    assert left == [5.0]
+    # Never the first call alone: it may compile.
+    assert left == [7.0]
 
 
 # --- the race --------------------------------------------------------------------------

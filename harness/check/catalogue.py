@@ -134,12 +134,12 @@ _CASES = (
     ),
     _state(
         "weights-to-0",
-        "no weight on any lobe but the diffuse one: a fit to a diffuse material",
+        "least weight on every lobe but the diffuse one: a fit to a diffuse material",
         states.extreme("weights-to-0"),
     ),
     _state(
         "uniform-to-0",
-        "no weight but on the first lobe: a fit that forgot the diffuse part",
+        "least weight on all but the first lobe: a fit that forgot the diffuse part",
         states.extreme("uniform-to-0"),
     ),
     _state(

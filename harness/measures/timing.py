@@ -150,13 +150,15 @@ def settle(
 ) -> float:
     """Repeat ``once`` until its time is stable; the last time in seconds.
 
-    ``spent`` seconds of the warm-up are already gone. One call there always is.
+    ``spent`` seconds of the warm-up are already gone. Two calls there always are: the first
+    may compile.
     """
     last = np.inf
     for _ in range(tries):
         seconds = once()
         spent += seconds
-        if abs(seconds - last) < settings.stable * last or spent > settings.warm_up:
+        steady = abs(seconds - last) < settings.stable * last
+        if np.isfinite(last) and (steady or spent > settings.warm_up):
             return seconds
         last = seconds
     return last
