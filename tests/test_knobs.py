@@ -242,7 +242,7 @@ def test_extremes_are_at_the_ends(name):
 
 @pytest.mark.parametrize("lobes", [1, 2, 5])
 def test_lobes_are_a_mixture_by_hand(lobes):
-    """The torch density against a sum of normals made from the network's plain outputs."""
+    """The torch density against a sum of normals made from the network's bounded outputs."""
     method = fitted("two-lobe", lobes=lobes)
     condition = TILTED.conditions(16, generator(3))
     wo = (torch.rand(16, 8, 2, generator=generator(4)) * 2 - 1) * 0.7
@@ -253,7 +253,7 @@ def test_lobes_are_a_mixture_by_hand(lobes):
             out[:, : 2 * lobes],
             (10 * torch.tanh(out[:, 2 * lobes : 4 * lobes] / 10)).exp(),
         )
-        weight = torch.softmax(out[:, 4 * lobes :], -1)
+        weight = torch.softmax(10 * torch.tanh(out[:, 4 * lobes :] / 10), -1)
         expected = weight[:, :1] / math.pi * inside_disk(wo)
         for k in range(lobes):
             normal = torch.distributions.Normal(
