@@ -18,7 +18,7 @@ from harness.check.weights import resampled
 from harness.protocol import square_to_disk
 from harness.stats.cells import Cells
 
-RANDOM = 12
+RANDOM = 6
 """Random conditions, next to the cases."""
 INNER = 128
 RIM = (0.9999, 0.999999)
@@ -28,7 +28,7 @@ GRAZING_COSINE = 1e-3
 
 LOST_ENERGY = 1e-4
 """Share of the reflectance that may have density zero; single precision underflows there."""
-LEVEL = 7
+LEVEL = 6
 MOST_CELLS = 40_000
 RINGS = 24
 """Halvings of the radius around the mirrored direction at which to begin looking for a lobe."""
@@ -86,7 +86,7 @@ def check_coverage(subject: Subject, case: Case) -> Finding:
         return subject.material.target(case.rows(len(wo)), wo).double()
 
     points, _ = evidence(subject, case).places
-    cells = Cells.uniform(LEVEL).refined(points, SAMPLES // 512)
+    cells = Cells.uniform(LEVEL).refined(points, SAMPLES // 256)
     cells = cells.refined(around_mirror(case.row), 4)
     first = evaluate(target, cells, rng)
     if not first.total > 0:
