@@ -87,7 +87,7 @@ class Evidence:
             lambda wo: self.subject.pdf(self.case.rows(len(wo)), wo.to(self.subject.device)),
             hints,
             np.random.default_rng(int(torch.randint(1 << 62, (), generator=random))),
-            self.coarse.refined(points, SAMPLES // 4096),
+            self.coarse.refined(points, SAMPLES // 2048),
         )
 
     def _uniforms(self, n: int, what: str) -> Tensor:
