@@ -229,7 +229,9 @@ def test_cost():
         assert found["seconds-per-million-samples"] == pytest.approx(1e6 * per_row)
         metering = outcome.arrays["metered_seconds"] / outcome.arrays["bare_of_metered_seconds"]
         assert found["metering-overhead"] == pytest.approx(np.median(metering) - 1)
-        assert found["shading-points"] == found["sample-rows"]
+        # A ray that grazes the silhouette may hit the back by rounding: a point, no sample.
+        assert found["sample-rows"] <= found["shading-points"]
+        assert found["sample-rows"] == pytest.approx(found["shading-points"], rel=2e-3)
         assert 16 * 16 < found["rays"] <= 16 * 16 + found["shading-points"]
         assert found["pdf-calls"] == found["pdf-rows"] == 0
         assert 0 < found["sample-calls"] == found["eval-calls"] <= 0.5
