@@ -238,6 +238,8 @@ def test_cost():
         assert found["measuring-overhead"] > 0
         assert outcome.arrays["loadavg"].shape == (3,)
         assert len(outcome.arrays["sample_seconds"]) == 3
+        assert len(outcome.arrays["batch_variance"]) == len(outcome.arrays["seconds"])
+        assert (outcome.arrays["batch_variance"] > 0).all()
         units = {r.metric: r.unit for r in outcome.records}
         assert units["rays"] == "1/spp" and units["sampling-seconds-per-spp"] == "s"
         assert not {"load-seconds", "compile-seconds", "peak-bytes"} & set(found)
@@ -347,3 +349,24 @@ def test_fit_records_baking_where_it_is_reported(bake):
     assert found.get("bake-seconds", 0.0) == bake and ("bake-seconds" in found) == (bake > 0)
     # Shared targets took no time now: a fit alone would make them.
     assert found["fit-seconds"] == 300 + bake
+
+
+@pytest.mark.parametrize("parts", [[], [1.0], [1.5, 1.5, 1.5, 1.5], [1.0, 1.4, 1.6, 2.0]])
+def test_a_fit_is_as_sure_as_its_parts_are_equal(parts):
+    class Timed(Correct):
+        def fit(self, material: Material, budget: Budget, generator: Any) -> FitReport:
+            super().fit(material, budget, generator)
+            return FitReport(data_seconds=100.0, optimise_seconds=6.0, part_seconds=parts)
+
+    outcome = Fit().run([job("fit", Timed(), Plaster())], lambda text: None)[0]
+    found = {record.metric: record for record in outcome.records}
+    for metric, total in (("optimise-seconds", 6.0), ("fit-seconds", 106.0)):
+        record = found[metric]
+        assert record.value == total
+        if len(parts) < 2:
+            assert math.isnan(record.ci_low) and math.isnan(record.ci_high)
+        else:
+            below, above = total - record.ci_low, record.ci_high - total
+            assert (below == above == 0) == (len(set(parts)) == 1)
+            assert below >= 0 and above >= 0
+    assert ("part_seconds" in outcome.arrays) == bool(parts)

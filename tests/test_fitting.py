@@ -236,6 +236,8 @@ def fit(targets: Targets, budget: Budget, seed: int = 0) -> tuple[Table, list[fl
     report = minimise(table, loss, targets, budget, learning_rate=0.05)
     assert report.steps == budget.steps and report.parameters == 256
     assert report.optimise_seconds > 0 and report.data_seconds == targets.seconds
+    assert len(report.part_seconds) == 12 and all(part > 0 for part in report.part_seconds)
+    assert sum(report.part_seconds) <= report.optimise_seconds
     assert not table.training
     return table, report.loss
 
@@ -317,6 +319,7 @@ def test_no_steps():
     """A budget of none leaves the module as it was built."""
     table, targets = Table(), few()
     report = minimise(table, lambda: table.logits.sum(), targets, Budget(steps=0))
+    assert report.part_seconds == []
     assert (table.logits == 0).all() and report.steps == 0 and report.loss == []
 
 

@@ -184,7 +184,7 @@ def test_three_figures(swept: Results, tmp_path: Path):
     for figure in drawn:
         assert all(path.stat().st_size > 5000 for path in figure.files)
         assert "no room" not in figure.caption.lower() and "95%" in figure.caption
-    assert "One fit each" in drawn[2].caption
+    assert "One fit each: intervals" in drawn[2].caption
 
 
 def test_panels_are_what_is_recorded(swept: Results):

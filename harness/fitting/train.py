@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import time
 from collections.abc import Callable
@@ -12,6 +13,10 @@ from torch import Tensor, nn
 from harness.fitting.targets import Targets
 from harness.nets.mlp import count_parameters
 from harness.protocol import Budget, BudgetExceeded, FitReport
+
+PARTS = 12
+"""Parts of a fit whose times are told apart: enough for an interval, each long enough that the
+parts of a slow spell count as one."""
 
 
 def minimise(
@@ -47,7 +52,11 @@ def minimise(
     )
     history: list[float] = []
     every = max(1, budget.steps // 100)
+    part = budget.steps // PARTS
+    marks: list[float] = []
     for step in range(budget.steps):
+        if part and step % part == 0 and len(marks) <= PARTS:
+            marks.append(_now(budget.device))
         value = loss()
         optimiser.zero_grad(set_to_none=True)
         value.backward()
@@ -62,6 +71,8 @@ def minimise(
                     f"fit passed its limit of {budget.max_seconds:g} s at step {step}"
                     f" of {budget.steps}"
                 )
+    if part and budget.steps == PARTS * part:
+        marks.append(_now(budget.device))
     module.eval()
     return FitReport(
         steps=budget.steps,
@@ -69,5 +80,12 @@ def minimise(
         data_seconds=targets.seconds,
         optimise_seconds=time.perf_counter() - start,
         loss=history,
+        part_seconds=[end - begin for begin, end in itertools.pairwise(marks)],
         notes=f"{targets.black} black conditions left out" if targets.black else "",
     )
+
+
+def _now(device: str) -> float:
+    if device != "cpu":
+        torch.cuda.synchronize(device)
+    return time.perf_counter()

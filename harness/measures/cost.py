@@ -182,6 +182,7 @@ class _Subject:
             "sample_seconds": timings.seconds(sample) * self.batch.rows,
             "pdf_seconds": timings.seconds(pdf) * self.batch.rows,
             "seconds": timings.seconds(bare),
+            "batch_variance": np.array(self.bare.errors),
             "baseline_seconds": timings.rival_seconds(bare),
             "metered_seconds": timings.seconds(metering),
             "bare_of_metered_seconds": same_round,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 
 import torch
@@ -10,6 +11,7 @@ from harness.measures.base import Job, Measure, Outcome, Record
 from harness.measures.guard import BadAdapter, guard, state_of
 from harness.measures.timing import now
 from harness.protocol import FitReport, Material, Method, Unsupported
+from harness.stats.intervals import Interval, mean_interval
 
 
 class Fit(Measure):
@@ -18,8 +20,10 @@ class Fit(Measure):
     ``fit-seconds`` is the whole of ``method.fit``; ``data-seconds``, ``optimise-seconds`` and,
     for a method that bakes, ``bake-seconds`` are its parts as the method reports them. Targets
     that were tabulated for another method of the run count with the time that took.
-    ``load-seconds`` is what a renderer waits for: from the state in memory to the first sample
-    of a new method, so that a compilation counts here and never in a steady-state figure.
+    Their intervals are of the optimisation alone: what the total would be if its parts were
+    drawn anew from those seen. ``load-seconds`` is what a renderer waits for: from the state in
+    memory to the first sample of a new method, so that a compilation counts here and never in
+    a steady-state figure.
     """
 
     name = "fit"
@@ -53,9 +57,11 @@ class Fit(Measure):
         load_seconds = now(device) - start
         guard(loaded, material, job.generator, device)
         records = [
-            Record("fit-seconds", fit_seconds, unit="s"),
+            Record("fit-seconds", *_steady(fit_seconds, report.part_seconds), "s"),
             Record("data-seconds", report.data_seconds, unit="s"),
-            Record("optimise-seconds", report.optimise_seconds, unit="s"),
+            Record(
+                "optimise-seconds", *_steady(report.optimise_seconds, report.part_seconds), "s"
+            ),
             Record("load-seconds", load_seconds, unit="s"),
             Record("parameters", report.parameters, unit="1"),
             Record("size-bytes", method.size_bytes(), unit="B"),
@@ -64,8 +70,21 @@ class Fit(Measure):
             records.append(Record("bake-seconds", report.bake_seconds, unit="s"))
         if report.loss:
             records.append(Record("final-loss", report.loss[-1], unit="1"))
-        arrays = {"loss": torch.tensor(report.loss).numpy()} if report.loss else {}
+        arrays = {
+            name: torch.tensor(values).numpy()
+            for name, values in (("loss", report.loss), ("part_seconds", report.part_seconds))
+            if values
+        }
         return Outcome(records=records, arrays=arrays, tensors=state)
+
+
+def _steady(total: float, parts: list[float]) -> Interval:
+    """``total`` seconds, and how far the sum of ``parts`` of it is sure."""
+    if len(parts) < 2:
+        return Interval(total, math.nan, math.nan)
+    mean = mean_interval(parts)
+    low, high = (len(parts) * (end - mean.value) for end in (mean.low, mean.high))
+    return Interval(total, total + low, total + high)
 
 
 def restore(method: Method, material: Material, state: dict[str, torch.Tensor]) -> Method:

@@ -25,6 +25,8 @@ class Material(ABC):
     name: str
     n_address: int = 0
     n_features: int = 0
+    effects: frozenset[str] = frozenset()
+    """Effects that it can give and can do without (``parallax``, ``media``, ...)."""
 
     @property
     def n_condition(self) -> int:
@@ -41,6 +43,13 @@ class Material(ABC):
     @abstractmethod
     def identity(self) -> dict[str, Any]:
         """What determines the reflectance, as JSON data without absolute paths (for hashes)."""
+
+    def with_effects(self, effects: frozenset[str]) -> Material:
+        """The material that runs only those of its own ``effects``; layout and ``self`` stay.
+
+        Names that are not its own are ignored. A material with effects overrides it.
+        """
+        return self
 
     def places(self, uv: Tensor) -> Tensor:
         """Address and features [N, n_address + n_features] at texture coordinates [N, 2]."""

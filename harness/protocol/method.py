@@ -55,6 +55,8 @@ class FitReport:
     notes: str = ""
     bake_seconds: float = 0.0
     """Of turning what was fitted into the tables that are sampled, where a method does."""
+    part_seconds: list[float] = field(default_factory=list)
+    """Of equal parts of the optimisation, in order: how steadily it went on."""
 
 
 @dataclass(frozen=True)

@@ -97,7 +97,7 @@ def nothing_fitted(results: Results, material: str, method: str) -> bool:
 def _one_fit(results: Results) -> str:
     if results.frame["seed"].nunique() > 1:
         return "Intervals of fitting times are over training seeds."
-    return "One fit each, so fitting times have no interval here; more seeds give one."
+    return "One fit each: intervals of fitting times say how steadily it ran."
 
 
 CHARTS = (
