@@ -9,7 +9,10 @@ from typing import Annotated
 
 import typer
 
-VERBS = ("run", "report", "advise", "list", "check", "validate", "new", "doctor", "bench")
+VERBS = (
+    *("run", "report", "compare", "advise"),
+    *("list", "check", "validate", "new", "doctor", "bench"),
+)
 REFUSED = 2
 INTERRUPTED = 130
 
