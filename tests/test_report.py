@@ -28,8 +28,9 @@ from harness.report.combine import (
 )
 from harness.report.figures import FIGURES, Canvas
 from harness.report.figures.canvas import grid_shape, styled
-from harness.report.figures.images import _exposure, _srgb, _worst_square
+from harness.report.figures.images import _worst_square
 from harness.report.figures.palette import looks
+from harness.report.figures.rendered import exposure, reference, srgb
 from harness.report.figures.tradeoff import Point, _front
 from harness.report.formats.console import print_table
 from harness.report.formats.csv import csv as as_csv
@@ -491,12 +492,24 @@ def test_looks_are_fixed_and_distinct(failing: Path, tmp_path: Path):
 
 def test_image_helpers():
     image = np.full((32, 32, 3), 0.25)
-    assert _srgb(image, 4.0).max() == pytest.approx(1.0)
-    assert _exposure(image) == pytest.approx(4.0)
+    assert srgb(image, 4.0).max() == pytest.approx(1.0)
+    assert exposure(image) == pytest.approx(4.0)
     noisy = image.copy()
     noisy[20:26, 4:10] += 1.0
     row, column = _worst_square([noisy, image], image)
     assert row <= 20 and row + 8 >= 26 and column <= 4 and column + 8 >= 10
+
+
+def test_thumbnails_are_of_the_materials_that_were_rendered(tmp_path: Path):
+    """One sheet a scene; a biased method has no part in them."""
+    made = Made(materials=MATERIALS[:7], bias={("cosine", MATERIALS[0]): 1e-9})
+    results = Results.load(made.write(tmp_path))
+    (sheet,) = FIGURES["materials"](results, Canvas(tmp_path))
+    assert sheet.png.name == "materials-studio-sphere.png" and sheet.width == 6 * 165
+    at = (MATERIALS[0], "cosine", "studio-sphere")
+    before = reference(results, MATERIALS[0], "studio-sphere")
+    results.stored(results.trials("equal-spp", *at)[0]).images["mean"][:] = 1e6
+    np.testing.assert_array_equal(reference(results, MATERIALS[0], "studio-sphere"), before)
 
 
 def test_grids_are_full():

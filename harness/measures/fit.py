@@ -59,9 +59,7 @@ class Fit(Measure):
         records = [
             Record("fit-seconds", *_steady(fit_seconds, report.part_seconds), "s"),
             Record("data-seconds", report.data_seconds, unit="s"),
-            Record(
-                "optimise-seconds", *_steady(report.optimise_seconds, report.part_seconds), "s"
-            ),
+            Record("optimise-seconds", *_steady(report.optimise_seconds, report.part_seconds), "s"),
             Record("load-seconds", load_seconds, unit="s"),
             Record("parameters", report.parameters, unit="1"),
             Record("size-bytes", method.size_bytes(), unit="B"),

@@ -15,4 +15,13 @@ TABLES = (
     "image-checks",
     "status",
 )
-FIGURES = ("tradeoff", "pareto", "breakeven", "convergence", "slices", "images", "heatmap")
+FIGURES = (
+    "materials",
+    "tradeoff",
+    "pareto",
+    "breakeven",
+    "convergence",
+    "slices",
+    "images",
+    "heatmap",
+)

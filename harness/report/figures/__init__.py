@@ -13,12 +13,14 @@ from harness.report.figures.canvas import Canvas, Drawn
 from harness.report.figures.convergence import convergence
 from harness.report.figures.heatmap import heatmap
 from harness.report.figures.images import images
+from harness.report.figures.materials import materials
 from harness.report.figures.pareto import pareto
 from harness.report.figures.slices import slices
 from harness.report.figures.tradeoff import tradeoff
 from harness.report.results import Results
 
 FIGURES: dict[str, Callable[[Results, Canvas], list[Drawn] | str]] = {
+    "materials": materials,
     "tradeoff": tradeoff,
     "pareto": pareto,
     "breakeven": breakeven,

@@ -11,15 +11,14 @@ from numpy.typing import NDArray
 
 from harness.report.combine import Estimate
 from harness.report.figures.canvas import Canvas, Drawn, picture, sheet, styled, wrapped
+from harness.report.figures.rendered import LUMINANCE, exposure, reference, srgb
 from harness.report.figures.slices import missing
 from harness.report.formats.short import short
 from harness.report.results import MethodColumn, Results
-from harness.report.tables.bias import bias_warnings
 
 MEASURE = "equal-time"
 _IMAGE = "equal_time"
 _ACROSS = 6
-_LUMINANCE = np.array([0.212671, 0.715160, 0.072169])
 _CELL, _LABEL, _UNDER = 1.9, 0.24, 0.34
 """Inches: width of a render, heights of its label and of the numbers below."""
 _CROP = 0.25
@@ -79,10 +78,10 @@ def _shots(results: Results, material: str, scene: str) -> list[Shot]:
 def _figure(
     results: Results, canvas: Canvas, scene: str, material: str, shots: list[Shot]
 ) -> Drawn:
-    reference = _reference(results, material, scene)
+    truth = reference(results, material, scene)
     renders = [shot.image for shot in shots if shot.image is not None]
-    first = renders[0] if reference is None else reference
-    look = _Look(reference, _exposure(first), _worst_square(renders, first), _side(first))
+    first = renders[0] if truth is None else truth
+    look = _Look(truth, exposure(first), _worst_square(renders, first), _side(first))
     across = min(len(shots), _ACROSS)
     rows = -(-len(shots) // across)
     tall = _CELL * first.shape[0] / first.shape[1]
@@ -100,7 +99,7 @@ def _figure(
         + (
             ", and its absolute error in luminance (black 0, yellow half of white) against the "
             "mean of all unbiased methods' long renders."
-            if reference is not None
+            if truth is not None
             else "."
         )
         + " relMSE: variance over squared mean, for the samples that fit the time.",
@@ -124,7 +123,7 @@ def _shot(axes: Axes, shot: Shot, look: _Look, x: float, top: float, tall: float
         axes.add_patch(Rectangle(full[:2], *full[2:], fill=False, ec="#bbbbbb", lw=0.6))
         missing(axes, (middle, top - tall / 2), shot.why)
         return
-    picture(axes, _srgb(shot.image, look.scale), full)
+    picture(axes, srgb(shot.image, look.scale), full)
     row, column = look.corner
     unit = full[2] / shot.image.shape[1]
     frame = {"fill": False, "ec": "#ffcc00", "lw": 1.0}
@@ -134,10 +133,10 @@ def _shot(axes: Axes, shot: Shot, look: _Look, x: float, top: float, tall: float
     square = np.s_[row : row + look.side, column : column + look.side]
     below = top - tall - small
     crop = box(x, below, small, small)
-    picture(axes, _srgb(shot.image[square], look.scale), crop)
+    picture(axes, srgb(shot.image[square], look.scale), crop)
     axes.add_patch(Rectangle(crop[:2], *crop[2:], **frame))
     if look.reference is not None:
-        error = np.abs((shot.image - look.reference)[square] @ _LUMINANCE) * look.scale
+        error = np.abs((shot.image - look.reference)[square] @ LUMINANCE) * look.scale
         where = box(x + small, below, small, small)
         picture(axes, error, where, cmap="inferno", vmin=0, vmax=0.5)
     axes.text(
@@ -151,33 +150,6 @@ def _said(shot: Shot) -> str:
     return f"{spp}\nrelMSE {'†' if isinstance(error, str) else short(error.value)}"
 
 
-def _reference(results: Results, material: str, scene: str) -> NDArray | None:
-    """Mean [H, W, 3] of the methods' long renders at equal samples, weighted by 1/variance; biased
-    methods are left out."""
-    biased = bias_warnings(results)
-    total, weights = None, 0.0
-    for method in results.methods:
-        variance = results.number("equal-spp", "variance", material, method.label, scene)
-        for trial in results.trials("equal-spp", material, method.label, scene):
-            image = results.stored(trial).images.get("mean")
-            if image is None or isinstance(variance, str) or not variance.value > 0:
-                continue
-            if biased(material, method.label, scene):
-                continue
-            spp = results.number("equal-spp", "spp", material, method.label, scene)
-            weight = (1.0 if isinstance(spp, str) else spp.value) / variance.value
-            share = image.astype(np.float64) * weight
-            total = share if total is None else total + share
-            weights += weight
-    return None if total is None else total / weights
-
-
-def _exposure(image: NDArray) -> float:
-    """Factor that brings the 99% quantile of luminance to white."""
-    bright = float(np.quantile(image @ _LUMINANCE, 0.99))
-    return 1.0 / bright if bright > 0 else 1.0
-
-
 def _side(image: NDArray) -> int:
     return max(8, int(_CROP * min(image.shape[:2])))
 
@@ -185,15 +157,9 @@ def _side(image: NDArray) -> int:
 def _worst_square(renders: list[NDArray], centre: NDArray) -> tuple[int, int]:
     """Upper left corner of the square in which the renders are furthest from ``centre``."""
     # The root keeps a few fireflies from choosing the square.
-    scatter = np.mean([np.sqrt(np.abs((r - centre) @ _LUMINANCE)) for r in renders], axis=0)
+    scatter = np.mean([np.sqrt(np.abs((r - centre) @ LUMINANCE)) for r in renders], axis=0)
     side = _side(centre)
     sums = np.pad(scatter.cumsum(0).cumsum(1), ((1, 0), (1, 0)))
     boxes = sums[side:, side:] - sums[:-side, side:] - sums[side:, :-side] + sums[:-side, :-side]
     row, column = np.unravel_index(int(boxes.argmax()), boxes.shape)
     return int(row), int(column)
-
-
-def _srgb(linear: NDArray, scale: float) -> NDArray:
-    """Display values in [0, 1]; what is brighter than white is shown white."""
-    x = np.clip(linear * scale, 0.0, 1.0)
-    return np.where(x <= 0.0031308, 12.92 * x, 1.055 * np.power(x, 1 / 2.4) - 0.055)
