@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-import copy
 from typing import ClassVar
 
 import drjit as dr
 import torch
 from torch import Tensor, nn
 
-from harness.columns import ColumnMethod, Columns, Float
-from harness.fitting import ModuleMethod
+from harness.columns import Columns, Float
+from harness.fitting import FlowMethod
 from harness.fitting.precision import PRECISIONS, checked_precision
 from harness.nets import MLP, ConditionEncoder, defensive, lobes, spline
-from harness.nets.coupling import CouplingNet, uniforms_of_normal, unit_normal_columns
+from harness.nets.coupling import CouplingNet, unit_normal_columns
 from harness.nets.extremes import FAR, held
 from harness.protocol import InputError, Knob, Material
 
@@ -58,7 +57,7 @@ class SplineFlow(nn.Module):
         return self.couplings[1]
 
 
-class NeuralSplineFlow(ModuleMethod, ColumnMethod):
+class NeuralSplineFlow(FlowMethod):
     r"""Two rational-quadratic spline couplings: eqs. 3-4 of Xu et al. (2023), NeuSample.
 
     .. math:: x' = f(x \mid y), \quad y' = g(y \mid x'), \qquad
@@ -91,7 +90,6 @@ class NeuralSplineFlow(ModuleMethod, ColumnMethod):
     """
 
     name = "neural-spline-flow"
-    uniforms = 3
     learning_rate = 1e-2
 
     knobs: ClassVar[tuple[Knob, ...]] = (
@@ -135,21 +133,6 @@ class NeuralSplineFlow(ModuleMethod, ColumnMethod):
             material, self.width, self.layers, self.bins, self.couplings, self.frequencies
         )
 
-    def log_prob(self, condition: Tensor, wo: Tensor) -> Tensor:
-        """Log density [B, D]."""
-        z, log_slope = self._to_base(self.module, condition, wo)
-        flow = -0.5 * z.square().sum(-1) - lobes.LOG_2PI + log_slope
-        return defensive.log_mixed(flow, wo, self.uniform)
-
-    @torch.no_grad()
-    def inverse(self, condition: Tensor, wo: Tensor) -> Tensor:
-        """See :meth:`Method.inverse`: the uniforms [N, 3] of the flow's branch, in double."""
-        net = copy.deepcopy(self.module).double()
-        z, _ = self._to_base(net, condition.double(), wo[:, None].double())
-        u = uniforms_of_normal(z[:, 0])
-        # The middle of what is not the uniform share's.
-        return torch.cat([u, torch.full_like(u[:, :1], (1 + self.uniform) / 2)], 1)
-
     def extremes(self) -> dict[str, dict[str, Tensor]]:
         """See :meth:`Method.extremes`: the Gaussian at its narrowest and its widest."""
         last = f"base.layers.{len(self.module.base.layers) - 1}"
@@ -158,16 +141,15 @@ class NeuralSplineFlow(ModuleMethod, ColumnMethod):
             for name, raw in (("scale-to-0", -FAR), ("scale-to-infinity", FAR))
         }
 
-    def _to_base(self, net: SplineFlow, condition: Tensor, wo: Tensor) -> tuple[Tensor, Tensor]:
-        """Standard normal z [B, D, 2] that becomes ``wo``, and log |dz / dwo| [B, D]."""
+    def to_base(self, net: SplineFlow, condition: Tensor, wo: Tensor) -> tuple[Tensor, Tensor]:
+        """See :meth:`FlowMethod.to_base`."""
         encoded = net.encoder(condition)
         mean, raw = net.base(encoded)[:, None].chunk(2, -1)
         log_sigma = lobes.log_sigma(raw)
         at = list(wo.unbind(-1))
         log_slope = -log_sigma.sum(-1)
         if self.square:
-            squared = (1 - at[1]) * (1 + at[1])
-            log_chord = 0.5 * torch.where(squared > 0, squared, 1).log()
+            log_chord = _log_chord(at[1])
             at[0] = at[0] * torch.exp(-log_chord)
             log_slope = log_slope - log_chord
         for i, coupling in enumerate(net.couplings):
@@ -175,6 +157,18 @@ class NeuralSplineFlow(ModuleMethod, ColumnMethod):
             at[own], log_own = spline.warp(coupling(at[other], encoded), at[own])
             log_slope = log_slope + log_own
         return (torch.stack(at, -1) - mean) * torch.exp(-log_sigma), log_slope
+
+    def from_base(self, net: SplineFlow, condition: Tensor, z: Tensor) -> Tensor:
+        """See :meth:`FlowMethod.from_base`."""
+        encoded = net.encoder(condition)
+        mean, raw = net.base(encoded)[:, None].chunk(2, -1)
+        at = list((mean + z * torch.exp(lobes.log_sigma(raw))).unbind(-1))
+        for i in range(self.couplings - 1, -1, -1):
+            own, other = i % 2, 1 - i % 2
+            at[own] = spline.unwarp(net.couplings[i](at[other], encoded), at[own])
+        if self.square:
+            at[0] = at[0] * torch.exp(_log_chord(at[1]))
+        return torch.stack(at, -1)
 
     def sample_columns(self, c: Columns, u: Columns) -> tuple[Float, Float, Float]:
         """See :meth:`ColumnMethod.sample_columns`."""
@@ -237,3 +231,9 @@ class NeuralSplineFlow(ModuleMethod, ColumnMethod):
         zx, zy = (at[0] - mx) * dr.exp(-sx), (at[1] - my) * dr.exp(-sy)
         normal = dr.exp(-0.5 * dr.fma(zx, zx, zy * zy) - sx - sy - lobes.LOG_2PI)
         return defensive.mixed_columns(normal * (slope / chord), wo, self.uniform)
+
+
+def _log_chord(y: Tensor) -> Tensor:
+    """Log of half the disk's width at ``y``, or zero."""
+    squared = (1 - y) * (1 + y)
+    return 0.5 * torch.where(squared > 0, squared, 1).log()

@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-import copy
 from typing import ClassVar
 
 import drjit as dr
 import torch
 from torch import Tensor, nn
 
-from harness.columns import ColumnMethod, Columns, Float
-from harness.fitting import ModuleMethod
+from harness.columns import Columns, Float
+from harness.fitting import FlowMethod
 from harness.fitting.precision import PRECISIONS, checked_precision
 from harness.nets import ConditionEncoder, defensive, lobes
-from harness.nets.coupling import CouplingNet, uniforms_of_normal, unit_normal_columns
+from harness.nets.coupling import CouplingNet, unit_normal_columns
 from harness.nets.extremes import FAR, held
 from harness.protocol import InputError, Knob, Material
 
@@ -52,7 +51,7 @@ class AffineFlow(nn.Module):
         return self.couplings[1]
 
 
-class RealNVP(ModuleMethod, ColumnMethod):
+class RealNVP(FlowMethod):
     r"""Two affine couplings: Xie et al. (2019), after Dinh et al. (2016).
 
     .. math:: x' = x\,e^{s(y)} + t(y), \quad y' = y\,e^{s'(x')} + t'(x'), \quad
@@ -74,7 +73,6 @@ class RealNVP(ModuleMethod, ColumnMethod):
     """
 
     name = "realnvp"
-    uniforms = 3
     learning_rate = 1e-2
 
     knobs: ClassVar[tuple[Knob, ...]] = (
@@ -113,21 +111,6 @@ class RealNVP(ModuleMethod, ColumnMethod):
             material, self.width, self.layers, self.couplings, self.frequencies, self.trainable
         )
 
-    def log_prob(self, condition: Tensor, wo: Tensor) -> Tensor:
-        """Log density [B, D]."""
-        z, log_scale = self._to_base(self.module, condition, wo)
-        flow = -0.5 * z.square().sum(-1) - lobes.LOG_2PI + log_scale
-        return defensive.log_mixed(flow, wo, self.uniform)
-
-    @torch.no_grad()
-    def inverse(self, condition: Tensor, wo: Tensor) -> Tensor:
-        """See :meth:`Method.inverse`: the uniforms [N, 3] of the flow's branch, in double."""
-        net = copy.deepcopy(self.module).double()
-        z, _ = self._to_base(net, condition.double(), wo[:, None].double())
-        u = uniforms_of_normal(z[:, 0])
-        # The middle of what is not the uniform share's.
-        return torch.cat([u, torch.full_like(u[:, :1], (1 + self.uniform) / 2)], 1)
-
     def extremes(self) -> dict[str, dict[str, Tensor]]:
         """See :meth:`Method.extremes`: samples drawn together and apart by all couplings.
 
@@ -142,8 +125,8 @@ class RealNVP(ModuleMethod, ColumnMethod):
             found[name] = state
         return found
 
-    def _to_base(self, net: AffineFlow, condition: Tensor, wo: Tensor) -> tuple[Tensor, Tensor]:
-        """Standard normal z [B, D, 2] that becomes ``wo``, and log |dz / dwo| [B, D]."""
+    def to_base(self, net: AffineFlow, condition: Tensor, wo: Tensor) -> tuple[Tensor, Tensor]:
+        """See :meth:`FlowMethod.to_base`."""
         encoded = net.encoder(condition)
         log_sigma = lobes.log_sigma(net.raw_sigma)
         at = list(wo.unbind(-1))
@@ -155,6 +138,16 @@ class RealNVP(ModuleMethod, ColumnMethod):
             at[own] = at[own] * torch.exp(log_own) + shift
             log_scale = log_scale + log_own
         return (torch.stack(at, -1) - net.mean) * torch.exp(-log_sigma), log_scale
+
+    def from_base(self, net: AffineFlow, condition: Tensor, z: Tensor) -> Tensor:
+        """See :meth:`FlowMethod.from_base`."""
+        encoded = net.encoder(condition)
+        at = list((net.mean + z * torch.exp(lobes.log_sigma(net.raw_sigma))).unbind(-1))
+        for i in range(self.couplings - 1, -1, -1):
+            own, other = i % 2, 1 - i % 2
+            raw, shift = net.couplings[i](at[other], encoded).unbind(-1)
+            at[own] = (at[own] - shift) * torch.exp(-lobes.log_sigma(raw))
+        return torch.stack(at, -1)
 
     def sample_columns(self, c: Columns, u: Columns) -> tuple[Float, Float, Float]:
         """See :meth:`ColumnMethod.sample_columns`.

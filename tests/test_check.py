@@ -16,6 +16,7 @@ from scipy import stats
 from torch import Tensor
 from typer.testing import CliRunner
 
+from harness import registry
 from harness.check import FALSE_ALARM, Finding, plan, properties, run_checks
 from harness.check.catalogue import BASE, CATALOGUE, HardCase
 from harness.check.finding import verdict
@@ -28,10 +29,12 @@ from harness.check.quadrature import (
 )
 from harness.check.run import ORDINARY, fit, run_case
 from harness.check.subject import COSINES, stream
+from harness.materials import registry as materials
 from harness.protocol import (
     InputError,
     Material,
     Method,
+    StateRefused,
     Unsupported,
     cos_theta,
     inside_disk,
@@ -293,6 +296,46 @@ def test_states_are_loaded_into_a_fresh_copy() -> None:
 
     (misfits,) = in_case(method, replace(broken, alter=misfit))
     assert misfits.verdict == "fail" and "KeyError" in misfits.text
+
+
+class Choosy(planted.Correct):
+    """Refuses to be stretched by more than a factor of two; ``least`` may be made to refuse all."""
+
+    least = 0.5
+
+    def load_state_dict(self, state: dict[str, Tensor]) -> None:
+        """Or says why not."""
+        if (stretch := float(state["stretch"])) < self.least:
+            raise StateRefused(f"choosy: state refused: a stretch of {stretch:.2g}", 1 - stretch)
+        super().load_state_dict(state)
+
+
+class RefusesItself(Choosy):
+    """Its own fit as well."""
+
+    least = 2.0
+
+
+def test_a_refused_state_is_degraded_and_a_refused_fit_fails() -> None:
+    def narrowed(method: Method, generator: torch.Generator) -> dict[str, Tensor]:
+        return {"stretch": torch.tensor([0.25])}
+
+    narrow = replace(BOTH, name="narrow", group="state", alter=narrowed)
+    (refused,) = in_case(Choosy(), narrow)
+    assert refused.verdict == "degraded" and refused.number == 0.75
+    assert "state refused" in refused.text
+    assert verdict(run_checks(Choosy(), planted.Plaster(), only=("save-load",))).verdict == "pass"
+    assert failed(run_checks(RefusesItself(), planted.Plaster(), only=("save-load",)))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(SEEDS))
+@pytest.mark.parametrize("name", ["neural-spline-flow", "realnvp"])
+def test_diverged_flows_are_right_or_refused(name: str, seed: int) -> None:
+    subject, _ = fit(registry.make(name), materials.make(BASE), seed)
+    assert subject is not None
+    case = CATALOGUE["badly-trained"]
+    assert not failed(run_case(subject.method, subject.blank, subject.material, case, seed))
 
 
 def test_an_input_case_is_its_property() -> None:

@@ -13,8 +13,10 @@ from scipy.stats import chi2
 from zuko.transforms import MonotonicRQSTransform
 
 from harness.columns import columns_of, tensor_of
+from harness.fitting.flow_method import STEADY, UNIT
 from harness.nets import spline
-from harness.protocol import InputError, Material, inside_disk
+from harness.nets.extremes import FAR
+from harness.protocol import Budget, InputError, Material, StateRefused, inside_disk
 from methods.neural_spline_flow import NeuralSplineFlow
 from methods.realnvp import RealNVP
 
@@ -384,6 +386,67 @@ def test_state_round_trip(kind):
     fresh.load_state_dict(method.state_dict())
     condition, u = inputs(100)
     assert (fresh.sample(condition, u).wo == method.sample(condition, u).wo).all()
+
+
+def test_from_base_is_the_inverse_of_to_base(kind):
+    method = make(kind, 0.5)
+    net, condition = method.module.double(), inputs(300)[0].double()
+    z = torch.randn(300, 2, 2, generator=torch.Generator().manual_seed(1), dtype=torch.float64)
+    with torch.no_grad():
+        wo = method.from_base(net, condition, z)
+        back, _ = method.to_base(net, condition, wo)
+    torch.testing.assert_close(back, z, rtol=1e-6, atol=1e-6)
+    # And the sampler goes the same way: through it the uniforms come back.
+    method.module.float()
+    condition, u = inputs(300)
+    u[:, 2] = 0.5
+    back = method.inverse(condition, method.sample(condition, u).wo)
+    torch.testing.assert_close(back[:, :2].float(), u[:, :2], rtol=0, atol=1e-3)
+
+
+def sheared(shear: float) -> RealNVP:
+    """x' = x e^10, then y' = y + ``shear`` x' where x' > 0: dy' / dx is their product."""
+    method = RealNVP(uniform=0)
+    method.bind(Plain())
+    with torch.no_grad():
+        for p in method.module.parameters():
+            p.zero_()
+        method.module.x_given_y.mlp.layers[-1].bias[0] = FAR
+        for layer, row in zip(method.module.y_given_x.mlp.layers, (0, 0, 1), strict=True):
+            layer.weight[row, 0] = 1
+        method.module.y_given_x.mlp.layers[-1].weight[1, 0] = shear
+    return method
+
+
+@pytest.mark.parametrize(("times", "refused"), [(0.9, False), (1.1, True)])
+def test_a_map_too_steep_for_single_precision_is_refused(times, refused):
+    """On either side of the slope at which the rounding of x moves y' by ``STEADY``."""
+    method = sheared(times * STEADY / UNIT / math.exp(10))
+    assert (method.unsteady() > 0) == refused
+    fresh, state = RealNVP(uniform=0), method.state_dict()
+    fresh.bind(Plain())
+    if not refused:
+        fresh.load_state_dict(state)
+        return
+    with pytest.raises(StateRefused, match="realnvp: state refused") as error:
+        fresh.load_state_dict(state)
+    assert error.value.number == method.unsteady()
+
+
+def test_ordinary_states_are_steady(kind):
+    assert make(kind, 0.5).unsteady() == 0
+
+
+def test_a_fit_that_ends_in_such_a_state_is_refused():
+    class Diverges(RealNVP):
+        def unsteady(self):
+            return 0.25
+
+    budget = Budget(steps=1, conditions=4, directions=4, resolution=8, pool=4)
+    with pytest.raises(StateRefused, match=r"in 25\.00% of the samples"):
+        Diverges().fit(Plain(), budget, torch.Generator().manual_seed(0))
+    report = RealNVP().fit(Plain(), budget, torch.Generator().manual_seed(0))
+    assert report.steps == 1
 
 
 def test_an_unknown_choice_is_refused():

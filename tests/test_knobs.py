@@ -206,11 +206,11 @@ def test_more_couplings_are_the_jacobian_of_the_whole_map(name, couplings):
     condition = TILTED.conditions(6, generator(7)).double()
     wo = (torch.rand(6, 2, generator=generator(8), dtype=torch.float64) - 0.5) * 1.2
     full = torch.autograd.functional.jacobian(
-        lambda v: method._to_base(net, condition, v[:, None])[0][:, 0], wo
+        lambda v: method.to_base(net, condition, v[:, None])[0][:, 0], wo
     )
     index = torch.arange(6)
     log_det = torch.linalg.slogdet(full[index, :, index]).logabsdet
-    z = method._to_base(net, condition, wo[:, None])[0][:, 0]
+    z = method.to_base(net, condition, wo[:, None])[0][:, 0]
     expected = torch.distributions.Normal(0.0, 1.0).log_prob(z).sum(-1) + log_det
     torch.testing.assert_close(method.log_prob(condition, wo[:, None])[:, 0], expected)
 

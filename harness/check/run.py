@@ -14,7 +14,7 @@ from harness.check.finding import WORST_FIRST, Finding, verdict
 from harness.check.gradients import watched_gradients
 from harness.check.properties import PER_CASE, PER_METHOD, Found, asked_for
 from harness.check.subject import COSINES, RANDOM_CASES, Case, Subject, cases, stream
-from harness.protocol import Budget, Material, Method, Unsupported
+from harness.protocol import Budget, Material, Method, StateRefused, Unsupported
 from harness.stats.chisquare import sidak
 
 if TYPE_CHECKING:
@@ -154,6 +154,10 @@ def hard(
         if altered is None:
             yield Finding("state", case.name, "skip", "the method has no such state")
             return
+    except StateRefused as error:
+        # No method can be asked to run what it cannot; the number says how far from it this is.
+        yield Finding("state", case.name, "degraded", str(error), number=error.number, unit="share")
+        return
     except Exception as error:
         yield _raised("state", case.name, error)
         return

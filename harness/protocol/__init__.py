@@ -10,7 +10,13 @@ from harness.protocol.disk import (
     square_to_disk,
     to_direction,
 )
-from harness.protocol.errors import BudgetExceeded, InputError, Unsupported, nearest
+from harness.protocol.errors import (
+    BudgetExceeded,
+    InputError,
+    StateRefused,
+    Unsupported,
+    nearest,
+)
 from harness.protocol.material import Material
 from harness.protocol.method import Budget, DiskSample, FitReport, Knob, Method
 
@@ -23,6 +29,7 @@ __all__ = [
     "Knob",
     "Material",
     "Method",
+    "StateRefused",
     "Unsupported",
     "cos_theta",
     "disk_to_solid_angle",

@@ -13,6 +13,14 @@ class InputError(ValueError):
     """
 
 
+class StateRefused(InputError):
+    """A fitted state that a method cannot run correctly; ``number`` is the measure that says so."""
+
+    def __init__(self, text: str, number: float):
+        super().__init__(text)
+        self.number = number
+
+
 class Unsupported(Exception):
     """A method or measure that cannot be had for this material, scene or machine.
 

@@ -1,0 +1,121 @@
+"""Methods that are a normalizing flow of the projected disk over a Gaussian."""
+
+from __future__ import annotations
+
+import copy
+from abc import abstractmethod
+
+import torch
+from torch import Tensor, nn
+
+from harness.columns import ColumnMethod
+from harness.fitting.module_method import ModuleMethod
+from harness.nets import defensive, lobes
+from harness.nets.coupling import uniforms_of_normal
+from harness.protocol import Budget, FitReport, Material, StateRefused, inside_disk
+
+UNIT = 2.0**-24
+"""By how much single precision rounds a coordinate near one."""
+STEADY = 1 / 64
+"""Standard deviations of the base by which that rounding may move a base point.
+
+Fits of the paper's size and budget stay three hundred times below."""
+ROWS = 4096
+"""Samples looked at, each in a condition of its own. Not one may be moved by more: a thousandth
+of one condition's samples in the wrong place is what a test of the tail finds."""
+
+
+class FlowMethod(ModuleMethod, ColumnMethod):
+    r"""A flow :math:`z = T(\omega)` with a standard normal base, and a uniform share beside it.
+
+    .. math:: p(\omega) = (1 - \varepsilon)\,\mathcal{N}(T(\omega))
+              \left|\frac{\partial T}{\partial \omega}\right|
+              + \frac{\varepsilon}{\pi}\,[|\omega| < 1]
+
+    A subclass gives the map both ways in torch (:meth:`to_base`, :meth:`from_base`) and the
+    sampler over columns. ``uniform`` is :math:`\varepsilon`, picked by the third uniform.
+
+    The density belongs to the samples only as long as the rounding of :math:`\omega` to single
+    precision leaves its base point where it is. Couplings multiply: a steep map of x, seen by a
+    network that is steep in x, moves y by a million times the rounding, and no arithmetic
+    inside can mend what the rounded direction has lost. No bound on a layer tells such a map
+    from a useful one (diverged weights have seven times the spectral norms of a fit and up to
+    a hundred thousand times its movements), so the movement itself is measured, once for each
+    state: :meth:`fit` and :meth:`load_state_dict` refuse those that move.
+    """
+
+    uniforms = 3
+    uniform: float
+
+    @abstractmethod
+    def to_base(self, net: nn.Module, condition: Tensor, wo: Tensor) -> tuple[Tensor, Tensor]:
+        """T: z [B, D, 2] of ``wo`` [B, D, 2], and log |dz / dwo| [B, D], by the module ``net``."""
+
+    @abstractmethod
+    def from_base(self, net: nn.Module, condition: Tensor, z: Tensor) -> Tensor:
+        """The inverse of T: ``wo`` [B, D, 2] of ``z`` [B, D, 2]."""
+
+    def log_prob(self, condition: Tensor, wo: Tensor) -> Tensor:
+        """Log density [B, D]."""
+        z, log_slope = self.to_base(self.module, condition, wo)
+        flow = -0.5 * z.square().sum(-1) - lobes.LOG_2PI + log_slope
+        return defensive.log_mixed(flow, wo, self.uniform)
+
+    @torch.no_grad()
+    def inverse(self, condition: Tensor, wo: Tensor) -> Tensor:
+        """See :meth:`Method.inverse`: the uniforms [N, 3] of the flow's branch, in double."""
+        net = copy.deepcopy(self.module).double()
+        z, _ = self.to_base(net, condition.double(), wo[:, None].double())
+        u = uniforms_of_normal(z[:, 0])
+        # The middle of what is not the uniform share's.
+        return torch.cat([u, torch.full_like(u[:, :1], (1 + self.uniform) / 2)], 1)
+
+    def fit(self, material: Material, budget: Budget, generator: torch.Generator) -> FitReport:
+        """See :meth:`Method.fit`.
+
+        Raises:
+            StateRefused: the fit ended where single precision cannot follow (:meth:`unsteady`).
+        """
+        report = super().fit(material, budget, generator)
+        self._refuse_unsteady()
+        return report
+
+    def load_state_dict(self, state: dict[str, Tensor]) -> None:
+        """See :meth:`Method.load_state_dict`; ``bind`` first.
+
+        Raises:
+            StateRefused: single precision cannot follow this state (:meth:`unsteady`).
+        """
+        super().load_state_dict(state)
+        self._refuse_unsteady()
+
+    @torch.no_grad()
+    def unsteady(self) -> float:
+        """Share of samples whose base point moves more than ``STEADY`` when wo is rounded.
+
+        Of ``ROWS`` samples, always the same ones, each in a condition of its own. In double
+        precision, so that nothing but the map itself moves them. Those off the disk, which are
+        thrown away, do not count.
+        """
+        if self.material is None:
+            raise RuntimeError(f"{self.name}: used before fit or bind")
+        net = copy.deepcopy(self.module).double()
+        generator = torch.Generator().manual_seed(0)
+        device = next(net.parameters()).device
+        condition = self.material.conditions(ROWS, generator, str(device)).double()
+        z = torch.randn(ROWS, 1, 2, generator=generator, dtype=torch.float64).to(device)
+        wo = self.from_base(net, condition, z)
+        steps = UNIT * torch.tensor([[0.0, 0], [1, 0], [0, 1]], device=device)
+        at, *moved = self.to_base(net, condition, wo + steps)[0].unbind(1)
+        far = torch.stack([(m - at).abs().amax(-1) for m in moved]).amax(0) > STEADY
+        return float((far & inside_disk(wo[:, 0])).double().mean())
+
+    def _refuse_unsteady(self) -> None:
+        share = self.unsteady()
+        if share:
+            raise StateRefused(
+                f"{self.name}: state refused: in {share:.2%} of the samples the rounding of the"
+                f" direction moves its base point by more than {STEADY:.1g} deviations, so that the"
+                " density would not be that of what is drawn; expected none",
+                share,
+            )
