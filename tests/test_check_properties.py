@@ -17,16 +17,19 @@ import torch
 from scipy import stats
 from torch import Tensor, nn
 
-from harness.check import batches, devices
+from harness.check import batches, devices, peaks
 from harness.check.edges import check_edges, check_outside
 from harness.check.finding import Finding, verdict
 from harness.check.gradients import check_gradients, watched_gradients
 from harness.check.invertible import check_invertible
+from harness.check.looking import resampled
 from harness.check.precision import check_bfloat16, check_float64
 from harness.check.subject import Case, Subject, cases
 from harness.check.tail import binomial, check_tail
-from harness.check.weights import check_weights, resampled
+from harness.check.weights import check_weights
 from harness.fitting import ModuleMethod
+from harness.materials import registry as materials
+from harness.materials.hard.flat import BrightPixel
 from harness.protocol import Budget, DiskSample, Material, Method, inside_disk, square_to_disk
 from harness.stats.weights import bernstein, choose_cap, efficiency, hill
 from methods.histogram import Histogram
@@ -218,6 +221,46 @@ def test_energy_that_is_never_sampled_is_degraded() -> None:
     finding = found(check_weights, checked, case(checked), LEVEL)
     weights = next(f for f in finding if f.property == "weights")
     assert weights.verdict == "degraded" and "above" in weights.text
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_a_peak_that_no_sample_finds_is_degraded_with_its_number(seed: int) -> None:
+    """Uniform samples, by hand: E[w]^2 / E[w^2] = (int f)^2 / (pi int f^2), a millionth.
+
+    Of 2^17 samples a seventh of all seeds finds the pixel, and the others would see 1.
+    """
+    pixel = materials.make("bright-pixel")
+    checked = subject(Even(), pixel, seed)
+    at = case(checked)
+    findings = {f.property: f for f in found(check_weights, checked, at, LEVEL)}
+    area, base, bright = BrightPixel.WIDTH**2, BrightPixel.BASE, BrightPixel.BRIGHT
+    square = (math.pi - area) * base**2 + area * (base + bright) ** 2
+    expected = float(pixel.albedo(at.row[None])) ** 2 / (math.pi * square)
+    assert findings["weights"].verdict == "degraded"
+    assert findings["weights"].number == pytest.approx(expected, rel=0.05)
+    # The same reflectance without a name for the pixel: it takes luck to know of it.
+    assert peaks.centres(pixel, at).shape == (2, 2) and peaks.centres(Black(), at).shape == (1, 2)
+
+
+def test_points_around_peaks_have_their_density() -> None:
+    """Shares within rings in closed form, and what lies outside them by the density."""
+    at = torch.tensor([[0.3, -0.2], [-1.1, 0.5]], dtype=torch.float64)
+    n = 1 << 16
+    wo = peaks.draw(at, n, np.random.default_rng(0))
+    for edge in (1e-5, 1e-3, 0.1, 0.7):
+        near = (wo - at[0]).norm(dim=1) < edge
+        share = math.log(edge / peaks.NEAREST) / math.log(peaks.FARTHEST / peaks.NEAREST) / 2
+        # From the other peak, a distance of 1.57, comes about its density times the area.
+        far = float(peaks.density(at[1:], at[:1])) / 2 * math.pi * edge**2
+        allowed = 5 * math.sqrt(share / n) + 0.3 * far
+        assert float(near.double().mean()) == pytest.approx(share + far, abs=allowed)
+    # Monte Carlo of 1 over the square [-4, 4]^2, in which all of it lies.
+    random = torch.rand(1 << 18, 2, generator=torch.Generator().manual_seed(0)) * 8 - 4
+    sure = ((random[:, None] - at).norm(dim=2) > 0.05).all(1)
+    outer = (peaks.density(at, random) * sure).mean() * 64
+    assert float(outer) == pytest.approx(
+        float(((wo[:, None] - at).norm(dim=2) > 0.05).all(1).double().mean()), abs=0.02
+    )
 
 
 def test_a_tail_without_variance_is_degraded_and_two_levels_are_not() -> None:

@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
+from harness.check import peaks
 from harness.check.evidence import SAMPLES, evidence
 from harness.check.finding import Finding, rounded
-from harness.check.quadrature import Hints, evaluate, hemisphere_to_square, integrate
+from harness.check.looking import resampled
+from harness.check.quadrature import Hints, evaluate, integrate
 from harness.check.subject import Case, Subject
-from harness.check.weights import resampled
 from harness.protocol import square_to_disk
 from harness.stats.cells import Cells
 
@@ -30,8 +29,6 @@ LOST_ENERGY = 1e-4
 """Share of the reflectance that may have density zero; single precision underflows there."""
 LEVEL = 6
 MOST_CELLS = 40_000
-RINGS = 24
-"""Halvings of the radius around the mirrored direction at which to begin looking for a lobe."""
 
 
 def check_finite(subject: Subject, cases: list[Case]) -> Finding:
@@ -75,7 +72,7 @@ def check_coverage(subject: Subject, case: Case) -> Finding:
     """Property ``coverage``: p > 0 where f > 0. The number is the share of the reflectance lost.
 
     Integrated over cells that refine where f is. They begin with ``4**LEVEL``, finer where
-    samples are and around the mirrored direction: what is lit elsewhere, and much narrower than
+    samples are and around the material's peaks: what is lit elsewhere, and much narrower than
     such a cell, may go unseen.
     """
     name = "coverage"
@@ -87,7 +84,7 @@ def check_coverage(subject: Subject, case: Case) -> Finding:
 
     points, _ = evidence(subject, case).places
     cells = Cells.uniform(LEVEL).refined(points, SAMPLES // 256)
-    cells = cells.refined(around_mirror(case.row), 4)
+    cells = cells.refined(peaks.rings(peaks.centres(subject.material, case)), 4)
     first = evaluate(target, cells, rng)
     if not first.total > 0:
         return Finding(name, case.name, "pass", "the material is black here", number=0.0)
@@ -153,12 +150,3 @@ def _finite(subject: Subject, case: str, rows: Tensor) -> Finding:
     }
     text = f"wrong in {int(bad.sum())} of {len(bad)}"
     return Finding("pdf-finite", case, "fail", text, worst)
-
-
-def around_mirror(row: Tensor) -> NDArray:
-    """Points of the square on rings around the mirrored direction of ``row`` [C], [m, 2]."""
-    turn = torch.arange(16, dtype=torch.float64) * (math.pi / 8)
-    circle = torch.stack([turn.cos(), turn.sin()], -1)
-    radius = 0.5 ** torch.arange(2, RINGS, dtype=torch.float64)
-    rings = (radius[:, None, None] * circle).reshape(-1, 2) - row[-2:].double().cpu()
-    return hemisphere_to_square(rings)[0]

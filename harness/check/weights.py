@@ -22,17 +22,18 @@ from numpy.typing import NDArray
 from scipy import stats
 from torch import Tensor
 
+from harness.check import peaks
 from harness.check.evidence import Evidence, evidence
 from harness.check.finding import Finding, Verdict, rounded
+from harness.check.looking import Seen, look, reflectance, resampled
 from harness.check.quadrature import (
     Hints,
-    hemisphere_to_square,
+    evaluate,
     integrate,
     per_square,
-    square_to_hemisphere,
 )
 from harness.check.subject import Case, Subject
-from harness.protocol import DiskSample, cos_theta, inside_disk
+from harness.protocol import DiskSample, inside_disk
 from harness.stats.cells import Cells
 from harness.stats.weights import bernstein, choose_cap, efficiency, hill
 
@@ -54,19 +55,30 @@ FINITE_VARIANCE = 2.0
 TAILS = (100, 400, 1600)
 """The largest 1/100, ... of the weights are the tail. Two bounded levels look heavy at one."""
 
-GRID = 256
-"""Stratified points per side of the hemisphere that look for f where p has no samples."""
-RINGS = 24
-"""Halvings of the radius around the mirror direction at which to begin looking for a lobe."""
-
 
 class Furnace(NamedTuple):
-    """Integrals [luminance] of f and of min(f, c p) over the disk, with standard errors."""
+    """Integrals [luminance] of f and of min(f, c p) over the disk, with standard errors.
+
+    ``cells`` are fine where f is.
+    """
 
     whole: float
     whole_error: float
     capped: float
     capped_error: float
+    cells: Cells
+
+    @property
+    def above(self) -> float:
+        """Share of the energy in weights above the cap, or that no sample found."""
+        # Never below zero but by the integrals' own errors.
+        return 1 - self.capped / self.whole
+
+    @property
+    def is_rare(self) -> bool:
+        """Whether that share is more than ``RESOLUTION``, and not by the integrals' errors."""
+        error = math.hypot(self.capped_error, self.whole_error) / self.whole
+        return self.above - 3 * error > RESOLUTION
 
 
 def check_weights(subject: Subject, case: Case, alpha: float) -> Iterator[Finding]:
@@ -88,7 +100,7 @@ def check_weights(subject: Subject, case: Case, alpha: float) -> Iterator[Findin
     if not np.isfinite(weight).all():
         yield _no_number(subject, case, drawn, weight)
         return
-    seen = _look(found, subject.generator)
+    seen = look(found, _rng(subject.generator))
     if seen.scale == 0:
         yield Finding("weights", case.name, "pass", "the material is black here")
         return
@@ -101,7 +113,7 @@ def check_weights(subject: Subject, case: Case, alpha: float) -> Iterator[Findin
         yield Finding("weights", case.name, "degraded", text, number=number, unit="efficiency")
         return
     furnace = _furnace(found, seen, weight, cap, subject.generator)
-    yield _weights(case, weight, cap, furnace, alpha)
+    yield _weights(found, weight, cap, furnace, alpha)
     text = f"{weight.max() / mean:.3g} times the mean, of {len(weight)} samples"
     number = float(weight.max()) / mean
     yield Finding("largest-weight", case.name, "pass", text, number=number, unit="x mean")
@@ -120,61 +132,19 @@ def weights(subject: Subject, case: Case, drawn: DiskSample) -> tuple[NDArray, N
     return weight.cpu().numpy(), valid.cpu().numpy()
 
 
-class _Seen(NamedTuple):
-    """Where f is: points [m, 2] of the square in proportion to f, f there, and its integral."""
-
-    points: NDArray
-    density: NDArray
-    scale: float
-
-
-def _look(found: Evidence, generator: torch.Generator) -> _Seen:
-    """Points of the samples and of a stratified grid together, resampled in proportion to f.
-
-    The balance heuristic: f / (n_grid * 1 + n p), with all densities per area of the square.
-    """
-    subject, case, rng = found.subject, found.case, _rng(generator)
-    corner = np.stack(np.meshgrid(np.arange(GRID), np.arange(GRID)), -1).reshape(-1, 2)
-    grid = (corner + rng.random(corner.shape)) / GRID
-    spread = square_to_hemisphere(grid)[0].to(subject.device)
-    points, valid = found.places
-    inside = torch.from_numpy(valid).to(subject.device)
-    mine, asked = found.drawn.wo.detach()[inside], found.asked.detach()[inside]
-    pdf = torch.cat([subject.pdf(case.rows(len(spread)), spread).detach(), asked])
-    points, wo = np.concatenate([grid, points]), torch.cat([spread, mine.to(spread.dtype)])
-    jacobian = (2 * math.pi * cos_theta(wo)).double().cpu().numpy()
-    target = jacobian * _target(subject, case, wo)
-    density = jacobian * pdf.double().cpu().numpy()
-    share = target / (len(grid) + len(valid) * density)
-    # A density of nan or below zero is found elsewhere; here it is only no place to look.
-    share = np.where(np.isfinite(share) & (share > 0), share, 0.0)
-    if not share.any():
-        return _Seen(points[:0], target[:0], 0.0)
-    chosen = resampled(share, rng)
-    return _Seen(points[chosen], target[chosen], float(share.sum()))
-
-
-def resampled(share: NDArray, rng: np.random.Generator) -> NDArray:
-    """Indices in proportion to ``share``, as many as it is worth: (sum)^2 / sum of squares."""
-    share = share / share.sum()
-    m = max(1, int(1 / np.square(share).sum()))
-    at = (np.arange(m) + rng.random()) / m
-    return np.minimum(np.searchsorted(share.cumsum(), at), len(share) - 1)
-
-
 def _furnace(
     found: Evidence,
-    seen: _Seen,
+    seen: Seen,
     weight: NDArray,
     cap: float,
     generator: torch.Generator,
 ) -> Furnace:
     subject, case, rng = found.subject, found.case, _rng(generator)
-    near = _around_mirror(case.row)
+    near = peaks.rings(peaks.centres(subject.material, case))
     cells = Cells.uniform(4).refined(seen.points, max(1, len(seen.points) // 1024)).refined(near, 4)
 
     def target(wo: Tensor) -> Tensor:
-        return torch.from_numpy(_target(subject, case, wo))
+        return torch.from_numpy(reflectance(subject, case, wo))
 
     whole = integrate(
         lambda wo: target(wo) / seen.scale,
@@ -194,26 +164,52 @@ def _furnace(
 
     part = integrate(bounded, Hints(places[chosen], value[chosen]), rng, whole.cells)
     return Furnace(
-        whole.total * seen.scale, whole.error * seen.scale, part.total * scale, part.error * scale
+        whole.total * seen.scale,
+        whole.error * seen.scale,
+        part.total * scale,
+        part.error * scale,
+        whole.cells,
     )
 
 
-def _weights(case: Case, weight: NDArray, cap: float, found: Furnace, alpha: float) -> Finding:
-    capped = np.minimum(weight, cap)
-    mean, expected = float(capped.mean()), found.capped
+def _efficiency(
+    found: Evidence, weight: NDArray, cap: float, furnace: Furnace, rng: np.random.Generator
+) -> float:
+    r""":math:`E[w]^2 / E[w^2]`, of the samples below the cap and the integral of f^2 / p above.
+
+    What no sample has found counts here with the weight it will have one day.
+    """
+    subject, case = found.subject, found.case
+
+    def square(wo: Tensor) -> Tensor:
+        wo = wo.to(subject.device)
+        pdf = subject.pdf(case.rows(len(wo)), wo).detach().double().cpu()
+        target = torch.from_numpy(reflectance(subject, case, wo))
+        # Where p = 0 < f the weight is infinite, and the efficiency zero.
+        return torch.where(target > cap * pdf, target.square() / pdf, 0)
+
+    rest = evaluate(square, furnace.cells, rng).mass.sum()
+    return float(furnace.whole**2 / (np.square(weight[weight <= cap]).sum() / len(weight) + rest))
+
+
+def _weights(
+    found: Evidence, weight: NDArray, cap: float, furnace: Furnace, alpha: float
+) -> Finding:
+    case, capped = found.case, np.minimum(weight, cap)
+    mean, expected = float(capped.mean()), furnace.capped
     # Half of the level for the samples, half for the quadrature.
     allowed = (
         bernstein(capped.var(ddof=1), cap, len(weight), alpha / 2)
-        + stats.norm.isf(alpha / 4) * found.capped_error
+        + stats.norm.isf(alpha / 4) * furnace.capped_error
         + ROUNDING * expected
     )
-    number = efficiency(weight)
-    # Never below zero but by the integrals' own errors.
-    above = 1 - expected / found.whole
-    error = math.hypot(found.capped_error, found.whole_error) / found.whole
+    number, said = efficiency(weight), ""
+    if furnace.is_rare:
+        said = f" ({number:.3g} by what the samples found)"
+        number = _efficiency(found, weight, cap, furnace, _rng(found.subject.generator))
     text = (
-        f"mean {mean:.5g}, albedo {expected:.5g} of {found.whole:.5g} up to weights of"
-        f" {cap / mean:.3g} means, {above:.2g} above; efficiency {number:.3g}"
+        f"mean {mean:.5g}, albedo {expected:.5g} of {furnace.whole:.5g} up to weights of"
+        f" {cap / mean:.3g} means, {furnace.above:.2g} above; efficiency {number:.3g}{said}"
     )
     verdict: Verdict = "pass"
     worst = {}
@@ -226,7 +222,7 @@ def _weights(case: Case, weight: NDArray, cap: float, found: Furnace, alpha: flo
             "expected": f"{expected:.6g}",
             "cap": f"{cap:.4g}",
         }
-    elif number < INEFFICIENT or above - 3 * error > RESOLUTION:
+    elif number < INEFFICIENT or furnace.is_rare:
         verdict = "degraded"
     return Finding("weights", case.name, verdict, text, worst, number, "efficiency")
 
@@ -248,7 +244,7 @@ def _tail_index(case: Case, weight: NDArray, alpha: float) -> Finding:
 def _no_number(subject: Subject, case: Case, drawn: DiskSample, weight: NDArray) -> Finding:
     bad = ~np.isfinite(weight)
     k = int(bad.argmax())
-    target = float(_target(subject, case, drawn.wo[k : k + 1])[0])
+    target = float(reflectance(subject, case, drawn.wo[k : k + 1])[0])
     worst = {
         "condition": rounded(case.row),
         "wo": rounded(drawn.wo[k]),
@@ -257,21 +253,6 @@ def _no_number(subject: Subject, case: Case, drawn: DiskSample, weight: NDArray)
     }
     text = f"{int(bad.sum())} of {len(bad)} weights are not finite"
     return Finding("weights", case.name, "fail", text, worst)
-
-
-def _target(subject: Subject, case: Case, wo: Tensor) -> NDArray:
-    """f [N] per disk area, in double precision."""
-    wo = wo.detach().to(subject.device)
-    return subject.material.target(case.rows(len(wo)), wo).detach().double().cpu().numpy()
-
-
-def _around_mirror(row: Tensor) -> NDArray:
-    """Points of the square on rings around the mirror direction, [m, 2]."""
-    turn = torch.arange(16) * (2 * math.pi / 16)
-    circle = torch.stack([turn.cos(), turn.sin()], -1).double()
-    radius = 0.5 ** torch.arange(2, RINGS, dtype=torch.float64)
-    ring = (radius[:, None, None] * circle).reshape(-1, 2) - row[-2:].double().cpu()
-    return hemisphere_to_square(ring)[0]
 
 
 def _rng(generator: torch.Generator) -> np.random.Generator:

@@ -57,6 +57,14 @@ class Material(ABC):
             raise NotImplementedError(f"{type(self).__name__} has features but no places()")
         return uv.new_empty(len(uv), 0)
 
+    def peaks(self, condition: Tensor) -> Tensor:
+        """Where f is concentrated, [N, K, 2]: places of the plane that an integral must visit.
+
+        For checks that integrate f. They look around the mirrored direction by themselves;
+        name what lies elsewhere. A lobe's centre may lie outside the disk.
+        """
+        return condition.new_empty(len(condition), 0, 2)
+
     def conditions(self, n: int, generator: torch.Generator, device: str = "cpu") -> Tensor:
         """``n`` random conditions [n, C]: random places, ``wi`` uniform on the disk."""
         u = torch.rand(n, 4, generator=generator).to(device)

@@ -51,13 +51,6 @@ class DiskMaterial(Material):
         """
         raise NotImplementedError(f"{self.name} has no albedo in closed form")
 
-    def peaks(self, condition: Tensor) -> Tensor:
-        """Where f is concentrated, [N, K, 2]: places of the plane that an integral must visit.
-
-        For checks that integrate f; a lobe's centre may lie outside the disk.
-        """
-        return condition.new_empty(len(condition), 0, 2)
-
     def identity(self) -> dict[str, Any]:
         """See :meth:`Material.identity`."""
         return self._identity

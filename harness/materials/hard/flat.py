@@ -51,7 +51,7 @@ class BrightPixel(DiskMaterial):
         return condition.new_full((len(condition),), whole)
 
     def peaks(self, condition: Tensor) -> Tensor:
-        """See :meth:`DiskMaterial.peaks`."""
+        """See :meth:`Material.peaks`."""
         centre = condition.new_tensor(self.CORNER) + self.WIDTH / 2
         return centre.expand(len(condition), 1, 2)
 

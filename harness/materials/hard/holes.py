@@ -44,7 +44,7 @@ class BlackTexels(DiskMaterial):
         return condition[:, 0] * (self.BASE + self.LOBE * share).to(condition)
 
     def peaks(self, condition: Tensor) -> Tensor:
-        """See :meth:`DiskMaterial.peaks`."""
+        """See :meth:`Material.peaks`."""
         return -0.5 * condition[:, None, 1:]
 
 

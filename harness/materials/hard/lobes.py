@@ -57,7 +57,7 @@ class Lobes(DiskMaterial):
         return total.to(condition) * luminance(condition.new_tensor(self.colour))
 
     def peaks(self, condition: Tensor) -> Tensor:
-        """See :meth:`DiskMaterial.peaks`."""
+        """See :meth:`Material.peaks`."""
         centres = [lobe.centre.expand(len(condition), 2) for lobe in self.lobes(condition)]
         return torch.stack(centres, 1)
 
