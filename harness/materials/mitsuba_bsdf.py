@@ -40,7 +40,7 @@ class MitsubaMaterial(Material):
         self._identity = identity
         mi = _mi()
         try:
-            self.bsdf = mi.load_dict(_with_bitmaps(mi, bsdf)) if isinstance(bsdf, dict) else bsdf
+            self.bsdf = mi.load_dict(with_bitmaps(mi, bsdf)) if isinstance(bsdf, dict) else bsdf
         except RuntimeError as error:
             reason = " ".join(str(error).split())
             raise InputError(f"material '{name}': Mitsuba cannot load it: {reason}") from None
@@ -188,11 +188,11 @@ class MitsubaMaterial(Material):
             raise InputError(f"material '{self.name}': transmits light; expected a reflective BSDF")
 
 
-def _with_bitmaps(mi: Any, node: Any) -> Any:
+def with_bitmaps(mi: Any, node: Any) -> Any:
     """A copy of a Mitsuba dictionary whose texel arrays are Mitsuba bitmaps."""
     if not isinstance(node, dict):
         return node
-    node = {key: _with_bitmaps(mi, value) for key, value in node.items()}
+    node = {key: with_bitmaps(mi, value) for key, value in node.items()}
     if node.get("type") == "bitmap" and "array" in node:
         node["bitmap"] = mi.Bitmap(node.pop("array"))
     return node

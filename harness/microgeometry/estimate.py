@@ -1,0 +1,130 @@
+"""Monte Carlo estimate of the multi-resolution BTF of a surface (NeuMIP, eq. 1).
+
+.. math:: M(u, \\sigma, \\omega_i, \\omega_o)
+          = \\int G(u, \\sigma; x)\\, B(x, \\omega_i, \\omega_o)\\, dx
+
+with the Gaussian footprint G on the reference plane and B the radiance towards the camera
+(``wi``) under distant light (from ``wo``) of unit irradiance on that plane. ``B`` of a flat
+plane is its BRDF, without cosine.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import drjit as dr
+import torch
+from torch import Tensor
+
+from harness.columns.bridge import columns_of, tensor_of
+
+if TYPE_CHECKING:
+    from harness.microgeometry.surface import Surface
+
+LIGHT = 0.01
+"""Standard deviation, in radians about each axis, of the smoothed distant light."""
+
+LANES = 1 << 20
+"""Paths in flight at a time; bounds the memory whatever the number of queries."""
+
+
+def reflectance(
+    surface: Surface,
+    u: Tensor,
+    kernel: Tensor,
+    wi: Tensor,
+    wo: Tensor,
+    samples: int,
+    seed: int,
+    depth: int = 3,
+    device: str = "cpu",
+    light: float = LIGHT,
+    lanes: int = LANES,
+) -> Tensor:
+    """See :func:`harness.microgeometry.queries.truth`, which checks the arguments."""
+    tracer = surface.tracer(device)
+    n = len(u)
+    result = u.new_empty(n, 3, dtype=torch.float32, device=device)
+    wide = max(1, min(samples, lanes))
+    rows = max(1, lanes // wide)
+    for first in range(0, n, rows):
+        last = min(n, first + rows)
+        part = [
+            columns_of(x[first:last].reshape(last - first, -1).to(device))
+            for x in (u, kernel, wi, wo)
+        ]
+        total = torch.zeros(last - first, 3, device=device)
+        for done in range(0, samples, wide):
+            block = min(wide, samples - done)
+            sums = _sum(tracer, part, first, last - first, done, block, seed, depth, light)
+            total += tensor_of(*sums, rows=last - first)
+        result[first:last] = total / samples
+    return result
+
+
+def _sum(
+    tracer: Any,
+    columns: list[Any],
+    first: int,
+    rows: int,
+    done: int,
+    block: int,
+    seed: int,
+    depth: int,
+    light: float,
+) -> Any:
+    """Sums over ``block`` samples, from number ``done`` on, of ``rows`` queries: Color3f."""
+    mi = tracer.mi
+    # Opaque numbers: one compiled kernel serves all batches, seeds and depths.
+    first_, done_, block_, depth_ = (dr.opaque(mi.UInt32, x) for x in (first, done, block, depth))
+    lane = dr.arange(mi.UInt32, rows * block)
+    row = lane // block_
+    number = lane - row * block_ + done_
+    random = _stream(mi, row + first_, number, seed)
+
+    (u, v), (kernel,), (wi_x, wi_y), (wo_x, wo_y) = (
+        [dr.gather(mi.Float, c, row) for c in group] for group in columns
+    )
+    camera = _direction(mi, wi_x, wi_y)
+    offset = _normal(mi, random)
+    origin = tracer.start(u + kernel * offset.x, v + kernel * offset.y, camera)
+    towards = _smoothed(mi, _direction(mi, wo_x, wo_y), light, _normal(mi, random))
+    radiance = tracer.radiance(origin, -camera, towards, random, depth_)
+    # Unit irradiance on the reference plane is 1 / cos across the beam.
+    f = radiance / towards.z
+    return [dr.block_reduce(dr.ReduceOp.Add, f[k], block) for k in range(3)]
+
+
+def _stream(mi: Any, query: Any, sample: Any, seed: int) -> Any:
+    """A random stream of its own for each sample of each query, whatever the batch."""
+    low, high = mi.sample_tea_32(query, dr.opaque(mi.UInt32, seed & 0xFFFFFFFF))
+    a, b = mi.sample_tea_32(low ^ sample, high + dr.opaque(mi.UInt32, seed >> 32))
+    c, d = mi.sample_tea_32(high ^ sample, low)
+    random = mi.PCG32()
+    random.seed((mi.UInt64(a) << 32) | mi.UInt64(c), (mi.UInt64(b) << 32) | mi.UInt64(d))
+    return random
+
+
+def _direction(mi: Any, x: Any, y: Any) -> Any:
+    return mi.Vector3f(x, y, dr.sqrt(1 - x * x - y * y))
+
+
+def _normal(mi: Any, random: Any) -> Any:
+    """Two standard normal numbers (Box and Muller)."""
+    # 1 - u lies in (0, 1], where the logarithm is finite.
+    radius = dr.sqrt(-2 * dr.log(1 - random.next_float32()))
+    sine, cosine = dr.sincos(dr.two_pi * random.next_float32())
+    return mi.Point2f(radius * cosine, radius * sine)
+
+
+def _smoothed(mi: Any, direction: Any, sigma: float, offset: Any) -> Any:
+    """``direction`` moved by ``sigma`` radians times ``offset`` in its tangent plane.
+
+    What falls below the horizon is mirrored up: the smoothed light still brings unit
+    irradiance, of which none could arrive from below.
+    """
+    frame = mi.Frame3f(direction)
+    scale = dr.opaque(mi.Float, sigma)
+    moved = direction + scale * (offset.x * frame.s + offset.y * frame.t)
+    moved = dr.normalize(moved)
+    return mi.Vector3f(moved.x, moved.y, dr.abs(moved.z))
