@@ -186,7 +186,7 @@ def test_draws_are_seeded_and_cover_their_ranges():
         (level, -3, -1),
     ):
         place = (values - low) / (high - low)
-        assert 0 <= place.min() and place.max() <= 1
+        assert place.min() >= 0 and place.max() <= 1
         assert abs(place.mean() - 0.5) < 4 / (12 * 4000) ** 0.5
     assert (draw(flat(), 3, seed=0).kernel == 0.5 / 16).all()
     assert len(draw(flat(), 0, seed=0).f) == 0

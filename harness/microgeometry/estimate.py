@@ -92,6 +92,8 @@ def _sum(
     radiance = tracer.radiance(origin, -camera, towards, random, depth_)
     # Unit irradiance on the reference plane is 1 / cos across the beam.
     f = radiance / towards.z
+    # Together: a reduction evaluates its argument, and each would trace all paths again.
+    dr.eval(f)
     return [dr.block_reduce(dr.ReduceOp.Add, f[k], block) for k in range(3)]
 
 
