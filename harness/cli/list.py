@@ -37,7 +37,7 @@ def _registry(kind: str) -> tuple[list[str], Callable[[str], str]]:
     if kind == "materials":
         from harness.materials import registry as materials
 
-        return materials.names(), materials.describe
+        return [*materials.names(), *materials.family_names()], materials.describe
     if kind == "scenes":
         from harness.scenes import registry as scenes
 

@@ -6,6 +6,7 @@ A specification is a name, or a mapping::
     {name: clearcoat, type: mitsuba,  bsdf: {type: principled, roughness: 0.2}}
     {name: theirs,    type: mitsuba,  file: scene.xml, id: wood}
     {name: rim-lobe,  type: hard}    # or its name alone: see harness.materials.hard
+    {name: polished,  type: family,   family: disney, fix: {roughness: 0.1}}   # or disney alone
 
 Relative files are meant from ``base_dir`` (the folder of the suite), or the working folder.
 Neither Mitsuba nor Dr.Jit is loaded before :func:`make`.
@@ -21,7 +22,7 @@ from pathlib import Path
 from typing import Any
 
 from harness import mitsuba_xml
-from harness.materials import hard, measured, xml_bsdf
+from harness.materials import families, hard, measured, xml_bsdf
 from harness.protocol import InputError, Material, nearest
 from harness.source import covered, digest
 
@@ -41,8 +42,15 @@ def hard_names() -> list[str]:
     return list(hard.MATERIALS)
 
 
+def family_names() -> list[str]:
+    """Names of the parametric families, sorted."""
+    return sorted(families.FAMILIES)
+
+
 def describe(name: str) -> str:
     """One line about a named material, beginning with the regime it stands for."""
+    if name in families.FAMILIES:
+        return families.FAMILIES[name].about
     if name in hard.MATERIALS:
         return hard.MATERIALS[name].about
     for node in ast.parse(_file(name).read_text(encoding="utf-8")).body:
@@ -89,8 +97,10 @@ def make(spec: Spec, base_dir: Path | str | None = None) -> Material:
     """The material; :class:`InputError` if the specification is refused."""
     what = identity(spec, base_dir)
     spec = _in_full(spec)
-    if _is_hard(spec):
+    if _is(spec, "hard"):
         return hard.MATERIALS[spec["name"]].make(spec["name"], what)
+    if _is(spec, "family"):
+        return families.FAMILIES[spec["family"]].make(spec["name"], spec.get("fix", {}), what)
     # Imported here, for it loads Mitsuba.
     from harness.materials.mitsuba_bsdf import MitsubaMaterial
 
@@ -197,7 +207,33 @@ class _Hard:
         return {"type": "hard", "name": name, "source": source}
 
 
-KINDS: dict[str, Any] = {"mitsuba": _Mitsuba(), "measured": _Measured(), "hard": _Hard()}
+class _Family:
+    """``{name, type: family, family, fix}``: the free parameters become features."""
+
+    def validate(self, spec: Mapping[str, Any], base: Path) -> None:
+        _only(spec, ("family", "fix"))
+        family, known = spec.get("family"), families.FAMILIES
+        if family not in known:
+            hint = nearest(str(family), known)
+            raise InputError(f"{_where(spec)}: family: unknown family {family!r}{hint}")
+        fix = spec.get("fix", {})
+        if not isinstance(fix, Mapping):
+            raise InputError(f"{_where(spec)}: fix: expected a mapping, got {fix!r}")
+        known[family].check(fix, _where(spec))
+
+    def identity(self, spec: Mapping[str, Any], base: Path) -> dict[str, Any]:
+        family = spec["family"]
+        source = digest(covered(families.FAMILIES[family].file, families.PACKAGE))
+        fix = {key: float(value) for key, value in spec.get("fix", {}).items()}
+        return {"type": "family", "family": family, "fix": fix, "source": source}
+
+
+KINDS: dict[str, Any] = {
+    "mitsuba": _Mitsuba(),
+    "measured": _Measured(),
+    "hard": _Hard(),
+    "family": _Family(),
+}
 
 
 # --- helpers ---------------------------------------------------------------------------
@@ -214,22 +250,24 @@ def _named() -> dict[str, Path]:
 def _file(name: str) -> Path:
     known = _named()
     if name not in known:
-        hint = nearest(name, [*known, *hard.MATERIALS])
+        hint = nearest(name, [*known, *hard.MATERIALS, *families.FAMILIES])
         raise InputError(f"unknown material '{name}'{hint}")
     return known[name]
 
 
 def _in_full(spec: Spec) -> Spec:
-    """A hard material's bare name as ``{name, type: hard}``; anything else as it is."""
+    """The bare name of a hard material or a family with its type; anything else as it is."""
     bare = isinstance(spec, str) or (isinstance(spec, Mapping) and set(spec) == {"name"})
     name = spec if isinstance(spec, str) else spec["name"] if bare else None
     if isinstance(name, str) and name in hard.MATERIALS:
         return {"name": name, "type": "hard"}
+    if isinstance(name, str) and name in families.FAMILIES:
+        return {"name": name, "type": "family", "family": name}
     return spec
 
 
-def _is_hard(spec: Spec) -> bool:
-    return isinstance(spec, Mapping) and spec.get("type") == "hard"
+def _is(spec: Spec, kind: str) -> bool:
+    return isinstance(spec, Mapping) and spec.get("type") == kind
 
 
 def _bare_name(spec: Spec) -> str | None:

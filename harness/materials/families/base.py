@@ -1,0 +1,191 @@
+"""A family: one reflectance model whose parameters are columns of the condition."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Mapping
+from typing import Any, ClassVar
+
+import drjit as dr
+import torch
+from torch import Tensor
+
+from harness.columns.bridge import Columns, Float, columns_of, tensor_of
+from harness.materials.families.hashing import generator_at
+from harness.materials.families.parameters import Parameter, check
+from harness.protocol import Material, square_to_disk
+from harness.protocol.disk import REC709
+
+SWATCHES = 8
+"""Tiles per side of the board on which a family of more than two free parameters is laid out."""
+LANES = 1 << 22
+"""Points of a slice that are evaluated at once: 16 MB a column."""
+
+
+class Family(Material):
+    """A parametric BSDF; condition ``[free parameters, wi.xy]``, no address.
+
+    ``model`` are all parameters of the model in their order, ``fixed`` those that have one
+    value here, ``parameters`` the others, which are the features of the condition.
+
+    A subclass gives :meth:`eval_columns`. Where it has a sampler of its own it also gives
+    ``native_sample_columns`` and ``native_pdf_columns``, as ``methods/native.py`` uses them.
+    """
+
+    family: ClassVar[str]
+    model: ClassVar[tuple[Parameter, ...]]
+    samples: ClassVar[int] = 4
+    """Strata per side of a cell in which :meth:`slices` evaluates f."""
+
+    n_address = 0
+
+    def __init__(self, name: str, fix: Mapping[str, float], identity: dict[str, Any]):
+        check(self.model, fix, f"material '{name}'")
+        self.name, self._identity = name, identity
+        self.fixed = {key: float(value) for key, value in fix.items()}
+        self.parameters = tuple(p for p in self.model if p.name not in fix)
+        self.n_features = len(self.parameters)
+
+    def identity(self) -> dict[str, Any]:
+        """See :meth:`Material.identity`."""
+        return self._identity
+
+    # --- conditions --------------------------------------------------------------------
+
+    def conditions(self, n: int, generator: torch.Generator, device: str = "cpu") -> Tensor:
+        """Rows [n, C]: every free parameter drawn over its range, ``wi`` uniform on the disk."""
+        u = torch.rand(n, self.n_features + 2, generator=generator).to(device)
+        drawn = [p.at(u[:, i, None]) for i, p in enumerate(self.parameters)]
+        return torch.cat([*drawn, square_to_disk(u[:, self.n_features :])], 1)
+
+    def places(self, uv: Tensor) -> Tensor:
+        """Free parameters [N, P] of the family laid out over a surface.
+
+        One or two vary with u and v over their whole ranges. More make a board of
+        ``SWATCHES`` x ``SWATCHES`` tiles, each of which has the parameters of one point of a
+        low-discrepancy sequence.
+        """
+        if not self.parameters or len(uv) == 0:
+            return uv.new_empty(len(uv), self.n_features)
+        if self.n_features <= 2:
+            return torch.stack([p.at(uv[:, i]) for i, p in enumerate(self.parameters)], 1)
+        return self._board().to(uv)[_tile(uv)]
+
+    def condition_columns(self, si: Any) -> Columns:
+        """The condition at surface interactions, as a renderer meets it."""
+        n = max(dr.width(si.uv), dr.width(si.wi))
+        if not self.parameters:
+            return [si.wi.x, si.wi.y]
+        uv = [dr.repeat(c, n) if dr.width(c) < n else c for c in (si.uv.x, si.uv.y)]
+        return [*columns_of(self.places(tensor_of(*uv, rows=n))), si.wi.x, si.wi.y]
+
+    def values(self, c: Columns) -> dict[str, Float]:
+        """All parameters of the model by name, those that are fixed as arrays of one element."""
+        free = {p.name: column for p, column in zip(self.parameters, c, strict=False)}
+        array = type(c[-1])
+        return {p.name: free.get(p.name, array(self.fixed.get(p.name, 0))) for p in self.model}
+
+    # --- reflectance -------------------------------------------------------------------
+
+    @abstractmethod
+    def eval_columns(self, c: Columns, wo: Columns, seed: int = 0) -> Any:
+        """BSDF without cosine, three columns, at condition columns and ``wo = [x, y]``.
+
+        ``seed`` chooses the random walks, where f is estimated by walks; a family in closed
+        form ignores it.
+        """
+
+    def eval(self, condition: Tensor, wo: Tensor) -> Tensor:
+        """See :meth:`Material.eval`."""
+        n = len(condition)
+        if n == 0:
+            return condition.new_empty(0, 3)
+        with torch.inference_mode():
+            return tensor_of(*self.eval_columns(columns_of(condition), columns_of(wo)), rows=n)
+
+    def target(self, condition: Tensor, wo: Tensor) -> Tensor:
+        """See :meth:`Material.target`."""
+        n = len(condition)
+        if n == 0:
+            return condition.new_empty(0)
+        with torch.inference_mode():
+            f = self.eval_columns(columns_of(condition), columns_of(wo))
+            return tensor_of(dr.abs(_luminance(f)), rows=n)
+
+    def target_grid(self, condition: Tensor, wo: Tensor) -> Tensor:
+        """See :meth:`Material.target_grid`; rows and directions are gathered in the kernel."""
+        n, m = len(condition), wo.shape[1]
+        if n * m == 0:
+            return condition.new_empty(n, m)
+        with torch.inference_mode():
+            c, points = columns_of(condition), columns_of(wo.reshape(-1, 2))
+            array = type(c[0])
+            index = dr.arange(dr.uint32_array_t(array), n * m)
+            row, point = index // m, index if len(wo) == n else index % m
+            wide = [dr.gather(array, column, row) for column in c]
+            f = self.eval_columns(wide, [dr.gather(array, v, point) for v in points])
+            return tensor_of(dr.abs(_luminance(f)), rows=n * m).view(n, m)
+
+    def slices(self, condition: Tensor, resolution: int, seed: int) -> Tensor:
+        r"""Mean of f over the cells of a grid on the disk's square: rgb [N, R, R, 3].
+
+        The R x R cells divide [-1, 1]^2; row = y, column = x, from -1 up. f is zero outside
+        the disk, so a cell that the rim cuts has the mean of a part. Each cell is evaluated at
+        ``samples``^2 jittered points, hence
+
+        .. math:: \sum_{cells} f\,(2/R)^2 \approx \int f\,dA,
+
+        which is the directional albedo. ``seed`` chooses the points (and the walks, where
+        there are any); a row's slice does not depend on the other rows of the call.
+        """
+        n, cells, count = len(condition), resolution * resolution, self.samples**2
+        found = condition.new_empty(n * cells, 3)
+        if found.numel() == 0:
+            return found.view(n, resolution, resolution, 3)
+        with torch.inference_mode():
+            c = columns_of(condition)
+            array = type(c[0])
+            unsigned = dr.uint32_array_t(array)
+            step = max(1, LANES // count)
+            for start in range(0, n * cells, step):
+                stop = min(start + step, n * cells)
+                lane = dr.arange(unsigned, (stop - start) * count)
+                index, stratum = start + lane // count, lane % count
+                row, cell = index // cells, index % cells
+                wide = [dr.gather(array, column, row) for column in c]
+                points = _points(array, cell, stratum, resolution, self.samples, seed)
+                f = self.eval_columns(wide, points, seed)
+                mean = [dr.block_reduce(dr.ReduceOp.Add, v, count) / count for v in f]
+                found[start:stop] = tensor_of(*mean, rows=stop - start)
+        return found.view(n, resolution, resolution, 3)
+
+    def _board(self) -> Tensor:
+        """Parameters [SWATCHES^2, P] of the tiles."""
+        # The plastic number's generalisation: the root of g^(P + 1) = g + 1.
+        g = 2.0
+        for _ in range(64):
+            g = (1 + g) ** (1 / (self.n_features + 1))
+        tile = torch.arange(1, SWATCHES**2 + 1, dtype=torch.float64)
+        columns = [p.at((0.5 + tile * g ** -(i + 1)) % 1) for i, p in enumerate(self.parameters)]
+        return torch.stack(columns, 1)
+
+
+def _tile(uv: Tensor) -> Tensor:
+    """Which tile [N] of the board; it repeats beyond the unit square."""
+    column, row = (uv.remainder(1) * SWATCHES).long().clamp(max=SWATCHES - 1).unbind(1)
+    return row * SWATCHES + column
+
+
+def _points(
+    array: Any, cell: Any, stratum: Any, resolution: int, samples: int, seed: int
+) -> Columns:
+    """One jittered point [x, y] in each stratum of a cell, on [-1, 1]^2."""
+    rng = generator_at([array(cell), array(stratum)], seed)
+    side = 2 / (resolution * samples)
+    x = (cell % resolution) * samples + stratum % samples
+    y = (cell // resolution) * samples + stratum // samples
+    return [dr.fma(array(v) + rng.next_float32(), side, -1) for v in (x, y)]
+
+
+def _luminance(rgb: Any) -> Float:
+    return REC709[0] * rgb[0] + REC709[1] * rgb[1] + REC709[2] * rgb[2]

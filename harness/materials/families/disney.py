@@ -1,0 +1,87 @@
+"""Disney's principled BSDF (Burley 2012), Mitsuba's ``principled``, over two parameters."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from harness.columns.bridge import Columns, Float
+from harness.materials.families.base import Family
+from harness.materials.families.parameters import DISNEY, Parameter
+from harness.materials.mitsuba_bsdf import MitsubaMaterial, _mi
+
+BASE_COLOR = (0.72, 0.45, 0.2)
+
+
+class Disney(Family):
+    """Mitsuba's ``principled``, its parameters per row; all others at Mitsuba's defaults.
+
+    Metallic and roughness vary as in Bai et al. (2023), section 6.3; the base colour is
+    ``BASE_COLOR``. Roughness r stands for GGX of alpha = r^2, so that uniform r is uniform in
+    the square root of alpha.
+
+    Each free parameter is a texture that rises linearly over the unit square of (u, v), the
+    first along u, the second along v. A row is evaluated at the (u, v) that has its
+    parameters; and a surface with texture coordinates shows the whole family. So ``bsdf`` is
+    one ordinary Mitsuba BSDF, with its own sampler, and renders natively.
+    """
+
+    family = "disney"
+    model = DISNEY
+
+    def __init__(self, name: str, fix: Mapping[str, float], identity: dict[str, Any]):
+        super().__init__(name, fix, identity)
+        bsdf: dict[str, Any] = {
+            "type": "principled",
+            "base_color": {"type": "rgb", "value": list(BASE_COLOR)},
+            **self.fixed,
+        }
+        for axis, parameter in enumerate(self.parameters):
+            bsdf[parameter.name] = _ramp(parameter, axis)
+        self._nested = MitsubaMaterial(name, bsdf, identity)
+        self.bsdf = self._nested.bsdf
+
+    def eval_columns(self, c: Columns, wo: Columns, seed: int = 0) -> Any:
+        """See :meth:`Family.eval_columns`; a Mitsuba colour, in closed form."""
+        return self._nested.eval_columns(self._placed(c), wo)
+
+    def native_sample_columns(self, c: Columns, u: Columns) -> tuple[Float, Float, Float]:
+        """See :meth:`MitsubaMaterial.native_sample_columns`."""
+        return self._nested.native_sample_columns(self._placed(c), u)
+
+    def native_pdf_columns(self, c: Columns, wo: Columns) -> Float:
+        """See :meth:`MitsubaMaterial.native_pdf_columns`."""
+        return self._nested.native_pdf_columns(self._placed(c), wo)
+
+    def _placed(self, c: Columns) -> Columns:
+        """``[u, v, wi.x, wi.y]`` for the parameters of ``c``, ``[wi.x, wi.y]`` if all are fixed."""
+        if not self.parameters:
+            return c
+        uv = [
+            (column - p.low) / (p.high - p.low)
+            for column, p in zip(c, self.parameters, strict=False)
+        ]
+        return [*uv, *([uv[0] * 0] * (2 - len(uv))), *c[-2:]]
+
+
+def _ramp(parameter: Parameter, axis: int) -> dict[str, Any]:
+    """A texture of ``parameter.low`` at 0 and ``high`` at 1 along u (axis 0) or v (1).
+
+    Two texels with bilinear interpolation, the unit square scaled to lie between their
+    centres; beyond it the value stays what it is at the edge.
+    """
+    texels = np.array([[parameter.low, parameter.high]], dtype=np.float32)
+    return {
+        "type": "bitmap",
+        "array": np.ascontiguousarray(texels.T if axis else texels)[..., None],
+        "raw": True,
+        "filter_type": "bilinear",
+        "wrap_mode": "clamp",
+        "accel": False,  # a GPU's texture unit interpolates in steps of 1/256
+        "to_uv": _mi()
+        .ScalarTransform3f()  # (u, v) -> 1/4 + (u, v) / 2
+        .translate([0.25, 0.25])
+        .scale([0.5, 0.5]),
+    }

@@ -1,0 +1,61 @@
+"""The numbers of each family's model, and what may be drawn and fixed."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from torch import Tensor
+
+from harness.protocol import InputError, nearest
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One number of a model.
+
+    Drawn between ``low`` and ``high``: uniformly, or, where ``squared``, as the square of a
+    uniform number, which favours small values (as Bai et al. 2023, section 5.1, do for
+    roughness). ``fix`` accepts any value in [``least``, ``most``].
+    """
+
+    name: str
+    low: float
+    high: float
+    least: float
+    most: float
+    squared: bool = False
+    about: str = ""
+
+    def at(self, t: Tensor) -> Tensor:
+        """Values [...] at ``t`` [...] in [0, 1], such that uniform ``t`` draws from the range."""
+        if self.squared:
+            low, high = math.sqrt(self.low), math.sqrt(self.high)
+            return (low + t * (high - low)).square()
+        return self.low + t * (self.high - self.low)
+
+
+def check(model: tuple[Parameter, ...], fix: Mapping[str, Any], where: str) -> None:
+    """Refuse values for parameters that the model does not have, or out of their bounds."""
+    known = {p.name: p for p in model}
+    for key, value in fix.items():
+        if key not in known:
+            raise InputError(f"{where}: fix: unknown parameter '{key}'{nearest(str(key), known)}")
+        p = known[key]
+        number = isinstance(value, (int, float)) and not isinstance(value, bool)
+        if not (number and p.least <= value <= p.most):
+            raise InputError(
+                f"{where}: fix: {key}: expected a number from {p.least:g} to {p.most:g},"
+                f" got {value!r}"
+            )
+
+
+Model = tuple[Parameter, ...]
+
+DISNEY: Model = (
+    Parameter("metallic", 0.0, 1.0, 0.0, 1.0, about="0 plastic, 1 metal"),
+    # Mitsuba's least alpha is 0.001, roughness 0.0316; below it nothing changes.
+    Parameter("roughness", 0.1, 1.0, 0.0, 1.0, about="square root of GGX's alpha"),
+)
