@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from abc import abstractmethod
+from typing import Any
 
 import torch
 from torch import Tensor
 
 from harness.columns.bridge import Columns, Float, columns_of, tensor_of
-from harness.protocol import DiskSample, Method
+from harness.protocol import DiskSample, Method, WeightedSample
 
 
 class ColumnMethod(Method):
@@ -23,6 +24,13 @@ class ColumnMethod(Method):
     def sample_columns(self, c: Columns, u: Columns) -> tuple[Float, Float, Float]:
         """Directions and density ``(x, y, pdf)`` for condition columns and three uniforms."""
 
+    def sample_weighted_columns(self, c: Columns, u: Columns) -> tuple[Float, Float, Float, Any]:
+        """``(x, y, pdf, [r, g, b])``: see :meth:`Method.sample_weighted`.
+
+        Has to be given where :attr:`Method.exact_pdf` is false.
+        """
+        raise NotImplementedError(f"{self.name}: an approximate pdf without weights")
+
     @abstractmethod
     def pdf_columns(self, c: Columns, wo: Columns) -> Float:
         """Density per disk area at ``wo = [x, y]``."""
@@ -36,6 +44,16 @@ class ColumnMethod(Method):
             x, y, pdf = self.sample_columns(columns_of(condition), columns_of(u))
             packed = tensor_of(x, y, pdf, rows=n)
         return DiskSample(packed[:, :2], packed[:, 2])
+
+    def sample_weighted(self, condition: Tensor, u: Tensor) -> WeightedSample:
+        """See :meth:`Method.sample_weighted`."""
+        n = len(condition)
+        if self.exact_pdf or n == 0:
+            return super().sample_weighted(condition, u)
+        with torch.inference_mode():
+            x, y, pdf, weight = self.sample_weighted_columns(columns_of(condition), columns_of(u))
+            packed = tensor_of(x, y, pdf, *weight, rows=n)
+        return WeightedSample(packed[:, :2], packed[:, 2], packed[:, 3:])
 
     def pdf(self, condition: Tensor, wo: Tensor) -> Tensor:
         """See :meth:`Method.pdf`."""

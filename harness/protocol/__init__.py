@@ -18,7 +18,7 @@ from harness.protocol.errors import (
     nearest,
 )
 from harness.protocol.material import Material
-from harness.protocol.method import Budget, DiskSample, FitReport, Knob, Method
+from harness.protocol.method import Budget, DiskSample, FitReport, Knob, Method, WeightedSample
 
 __all__ = [
     "Budget",
@@ -31,6 +31,7 @@ __all__ = [
     "Method",
     "StateRefused",
     "Unsupported",
+    "WeightedSample",
     "cos_theta",
     "disk_to_solid_angle",
     "disk_to_square",

@@ -9,6 +9,7 @@ from typing import Any, ClassVar, NamedTuple
 import torch
 from torch import Tensor
 
+from harness.protocol.disk import inside_disk
 from harness.protocol.material import Material
 
 
@@ -22,6 +23,20 @@ class DiskSample(NamedTuple):
 
     wo: Tensor
     pdf: Tensor
+
+
+class WeightedSample(NamedTuple):
+    """A sample whose estimate is not f/pdf: ``weight`` [N, 3] is the estimate itself.
+
+    ``E[weight]`` over the samples in a region is the integral of f over it (per disk area),
+    for an unbiased method. ``wo`` [N, 2] and ``pdf`` [N] as in :class:`DiskSample`, but the
+    density is an approximation, which multiple importance sampling may weigh strategies with
+    and nothing may be divided by. The weight of an invalid sample is zero.
+    """
+
+    wo: Tensor
+    pdf: Tensor
+    weight: Tensor
 
 
 @dataclass(frozen=True)
@@ -89,6 +104,10 @@ class Method(ABC):
     knobs: ClassVar[tuple[Knob, ...]] = ()
     """What trades this method's accuracy for time; swept one at a time by ``sweep: knobs``."""
 
+    exact_pdf: bool = True
+    """Whether :meth:`pdf` is the density of :meth:`sample`. Where it only approximates it, as
+    for random walks or a network's guess, estimates take the weights of :meth:`sample_weighted`."""
+
     material: Material | None = None
     """The material last given to :meth:`fit` (or :meth:`bind`)."""
 
@@ -109,9 +128,22 @@ class Method(ABC):
     def sample(self, condition: Tensor, u: Tensor) -> DiskSample:
         """Draw one direction per row from ``u``."""
 
+    def sample_weighted(self, condition: Tensor, u: Tensor) -> WeightedSample:
+        """:meth:`sample` with the estimates [N, 3] of its directions.
+
+        By default f/pdf. A method whose pdf is not exact gives weights of its own.
+        """
+        wo, pdf = self.sample(condition, u)
+        weight = self.eval(condition, wo) / pdf[:, None]
+        # Off the disk f is zero, and so is the estimate, whatever the density says.
+        return WeightedSample(wo, pdf, torch.where(inside_disk(wo)[:, None], weight, 0))
+
     @abstractmethod
     def pdf(self, condition: Tensor, wo: Tensor) -> Tensor:
-        """Density [N] of :meth:`sample` at ``wo``, per disk area; 0 where it never samples."""
+        """Density [N] of :meth:`sample` at ``wo``, per disk area; 0 where it never samples.
+
+        An approximation of it where :attr:`exact_pdf` is false.
+        """
 
     def eval(self, condition: Tensor, wo: Tensor) -> Tensor:
         """Reflectance [N, 3] at ``wo``, without cosine; by default the material's own."""

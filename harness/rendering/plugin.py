@@ -23,8 +23,9 @@ class SampledBSDF(mi.BSDF):
     """``material`` evaluated by itself, sampled by ``method``; usable in any scene.
 
     Reflective and one-sided. Mitsuba's value of ``sample`` is f cos / pdf with the pdf per
-    solid angle, cos times the method's. A sample off the disk has pdf 0 and value 0; what
-    is not a number becomes infinite, so that a broken method shows in the image.
+    solid angle, cos times the method's; or the method's own weight, if its pdf is no more than
+    an approximation, which then only weighs strategies. A sample off the disk has pdf 0 and
+    value 0; what is not a number becomes infinite, so that a broken method shows in the image.
 
     Render it through :mod:`harness.rendering.passes`, which has Mitsuba evaluate BSDF calls
     one material at a time; a method in torch cannot run inside a symbolic call.
@@ -50,7 +51,7 @@ class SampledBSDF(mi.BSDF):
             bs.wo, bs.pdf, bs.eta = mi.Vector3f(0, 0, 1), 1, 1
             return bs, mi.Color3f(dr.inf)
         front = mi.Mask(active) & (si.wi.z > 0)
-        x, y, pdf = self._draw(si, [sample1, sample2.x, sample2.y], front)
+        x, y, pdf, *weight = self._draw(si, [sample1, sample2.x, sample2.y], front)
         broken = front & (dr.isnan(x) | dr.isnan(y) | dr.isnan(pdf))
         cos_squared = 1 - x * x - y * y
         valid = front & (cos_squared > 0) & (pdf > 0)
@@ -64,7 +65,10 @@ class SampledBSDF(mi.BSDF):
         bs.eta = 1
         bs.sampled_type = mi.UInt32(+mi.BSDFFlags.GlossyReflection)
         bs.sampled_component = mi.UInt32(0)
-        value = dr.select(valid, self._value(ctx, si, bs.wo, valid) / bs.pdf, 0)
+        if weight:
+            value = dr.select(valid, mi.Color3f(*weight), 0)
+        else:
+            value = dr.select(valid, self._value(ctx, si, bs.wo, valid) / bs.pdf, 0)
         value = dr.select(broken | dr.any(dr.isnan(value)), dr.inf, value)
         if self.meter is not None:
             self.meter.sampled(mi.Mask(active) & si.is_valid(), value)
@@ -115,21 +119,28 @@ class SampledBSDF(mi.BSDF):
         uv = tensor_of(*_full([si.uv.x, si.uv.y], n), rows=n)
         return [*columns_of(self.material.places(uv)), si.wi.x, si.wi.y]
 
-    def _draw(self, si: Any, u: Columns, active: Any) -> tuple[Any, Any, Any]:
+    def _draw(self, si: Any, u: Columns, active: Any) -> tuple[Any, ...]:
+        """``(x, y, pdf)``, and three weights where the method's pdf is not exact."""
         if self.meter is None:
             return self._draw_bare(si, u, active)
         return self.meter.during("sample", active, [si, u], lambda: self._draw_bare(si, u, active))
 
-    def _draw_bare(self, si: Any, u: Columns, active: Any) -> tuple[Any, Any, Any]:
+    def _draw_bare(self, si: Any, u: Columns, active: Any) -> tuple[Any, ...]:
         c = self._condition(si)
+        exact = self.method.exact_pdf
         if self.in_columns:
-            return self.method.sample_columns(c, u)
+            if exact:
+                return self.method.sample_columns(c, u)
+            x, y, pdf, weight = self.method.sample_weighted_columns(c, u)
+            return x, y, pdf, *weight
 
         def draw(rows: torch.Tensor) -> torch.Tensor:
-            wo, pdf = self.method.sample(rows[:, : len(c)], rows[:, len(c) :])
-            return torch.cat([wo, pdf[:, None]], 1)
+            pair = rows[:, : len(c)], rows[:, len(c) :]
+            drawn = self.method.sample(*pair) if exact else self.method.sample_weighted(*pair)
+            wo, pdf, *weight = drawn
+            return torch.cat([wo, pdf[:, None], *weight], 1)
 
-        return tuple(_on_active_rows(draw, [*c, *u], active, outputs=3))
+        return tuple(_on_active_rows(draw, [*c, *u], active, outputs=3 if exact else 6))
 
     def _density(self, si: Any, wo: Any, active: Any) -> Any:
         if self.meter is None:

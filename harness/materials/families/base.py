@@ -150,7 +150,8 @@ class Family(Material):
             for start in range(0, n * cells, step):
                 stop = min(start + step, n * cells)
                 lane = dr.arange(unsigned, (stop - start) * count)
-                index, stratum = start + lane // count, lane % count
+                # Opaque, so that the next chunk finds the kernel compiled.
+                index, stratum = dr.opaque(unsigned, start) + lane // count, lane % count
                 row, cell = index // cells, index % cells
                 wide = [dr.gather(array, column, row) for column in c]
                 points = _points(array, cell, stratum, resolution, self.samples, seed)

@@ -18,7 +18,9 @@ from harness.columns.bridge import Columns
 def generator_at(columns: Columns, seed: int) -> Any:
     """A PCG32 per lane, seeded by the bits of ``columns`` and ``seed``."""
     unsigned = dr.uint32_array_t(type(columns[0]))
-    a, b = unsigned(_low(seed) ^ 0x9E3779B9), unsigned(_low(seed >> 32) ^ 0x85EBCA6B)
+    # Opaque, so that another seed finds the kernel compiled.
+    a = dr.opaque(unsigned, _low(seed) ^ 0x9E3779B9)
+    b = dr.opaque(unsigned, _low(seed >> 32) ^ 0x85EBCA6B)
     for column in columns:
         # -0 and 0 are equal and have to give the same numbers.
         bits = dr.reinterpret_array(unsigned, dr.select(column == 0, 0, column))
