@@ -16,6 +16,7 @@ from harness.fitting.precision import PRECISIONS, checked_precision
 from harness.nets import ConditionalMLP
 from harness.nets.alias import AliasTables
 from harness.nets.basis import BasisHistograms, Volume
+from harness.nets.extremes import FAR, held
 from harness.nets.lobes import softmax_columns
 from harness.nets.squares import Squares
 from harness.protocol import Budget, FitReport, InputError, Knob, Material
@@ -216,6 +217,19 @@ class HistogramMixture(ModuleMethod, ColumnMethod):
         plain, net = copy.copy(self), self.module
         plain.module = Mixture(copy.deepcopy(net.gate).double(), net.basis, net.turn_with_wi)
         return plain.log_prob(condition.double(), wo.double()[:, None])[:, 0].exp()
+
+    def extremes(self) -> dict[str, dict[str, Tensor]]:
+        """See :meth:`Method.extremes`: histograms of few cells, flat ones, all weight on one."""
+        state, gate = self.state_dict(), f"gate.mlp.layers.{len(self.module.gate.mlp.layers) - 1}"
+        last = f"basis.mlp.layers.{len(self.module.basis.mlp.layers) - 1}"
+        alone = state
+        for k in range(self.bases):
+            alone = held(alone, gate, slice(4 * k, 4 * k + 1), -FAR if k else FAR)
+        # Far below zero softplus is exp, and outputs that differ by hundreds leave a few cells.
+        weight, bias = (1e3 * state[f"{last}.{key}"] for key in ("weight", "bias"))
+        few = {**state, f"{last}.weight": weight, f"{last}.bias": bias - 3e4}
+        flat = held(state, last, slice(None), 0.0)
+        return {"sigma-to-0": few, "sigma-to-infinity": flat, "uniform-to-0": alone}
 
     @torch.no_grad()
     def bake(self) -> AliasTables:

@@ -332,3 +332,30 @@ def test_extremes_of_a_material_without_features():
     assert found["exponent-to-infinity"]["constant"].tolist() == [100.0, 0.0]
     assert found["uniform-to-0"]["constant"][1] == 100
     assert found["uniform-to-0"]["constant"][0] == method.state_dict()["constant"][0]
+
+
+def test_extremes_of_the_histogram_mixture():
+    """A few cells for each basis, a flat disk, and one basis alone."""
+    name = "histogram-mixture"
+    row = material("tilted").conditions(1, stream(5)).expand(4096, -1).clone()
+    u = torch.rand(4096, 3, generator=stream(6))
+
+    def drawn(case: str) -> tuple[torch.Tensor, torch.Tensor]:
+        method = loaded(name, CATALOGUE[case].alter(fitted(name), stream()))
+        wo, pdf = method.sample(row, u)
+        assert wo.isfinite().all() and (pdf > 0).all()
+        return wo, pdf
+
+    cells = fitted(name).resolution ** 2
+    wo, pdf = drawn("sigma-to-0")
+    # One or two cells for each basis hold what is not spread evenly.
+    assert float(pdf.median()) > cells / 4 / fitted(name).bases / 4
+    wo, pdf = drawn("sigma-to-infinity")
+    inner = wo.norm(dim=1) < 0.9
+    torch.testing.assert_close(
+        pdf[inner], torch.full_like(pdf[inner], 1 / math.pi), rtol=0.02, atol=0
+    )
+    drawn("uniform-to-0")
+    alone = loaded(name, CATALOGUE["uniform-to-0"].alter(fitted(name), stream()))
+    weight = alone.module.gates(row[:1]).log_weight.detach().exp()[0]
+    assert weight[0] == 1 and weight[1:].sum() == 0

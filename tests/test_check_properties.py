@@ -30,7 +30,16 @@ from harness.check.weights import check_weights
 from harness.fitting import ModuleMethod
 from harness.materials import registry as materials
 from harness.materials.hard.flat import BrightPixel
-from harness.protocol import Budget, DiskSample, Material, Method, inside_disk, square_to_disk
+from harness.nets.extremes import held
+from harness.protocol import (
+    Budget,
+    DiskSample,
+    FitReport,
+    Material,
+    Method,
+    inside_disk,
+    square_to_disk,
+)
 from harness.stats.weights import bernstein, choose_cap, efficiency, hill
 from methods.histogram import Histogram
 from methods.histogram_mixture import HistogramMixture
@@ -437,6 +446,56 @@ class NanInHalf(InHalf):
     error = math.nan
 
 
+class NetworkInHalf(ImprovedBaseline):
+    """Runs its network in half precision for inputs in half: activations and weights of eight bits.
+
+    Its lobes are as narrow as ``sigma``, so that a rounding of the mean moves the density much.
+    """
+
+    sigma = 0.1
+    times = 1.0
+
+    def pdf(self, condition: Tensor, wo: Tensor) -> Tensor:
+        """Through :meth:`log_prob`, which is plain torch."""
+        if condition.dtype != torch.bfloat16:
+            return super().pdf(condition, wo)
+        half = copy.copy(self)
+        half.module = copy.deepcopy(self.module).bfloat16()
+        with torch.no_grad():
+            return half.log_prob(condition, wo[:, None])[:, 0].exp() * self.times
+
+    def sample(self, condition: Tensor, u: Tensor) -> DiskSample:
+        """Directions that are handed on with eight bits, and the density there."""
+        drawn = super().sample(condition, u)
+        if condition.dtype != torch.bfloat16:
+            return drawn
+        wo = drawn.wo.bfloat16()
+        return DiskSample(wo, self.pdf(condition, wo))
+
+    def fit(self, material: Material, budget: Budget, generator: torch.Generator) -> FitReport:
+        """And all but one lobe forgotten, that one narrow."""
+        report = super().fit(material, budget, generator)
+        state = self.extremes()["uniform-to-0"]
+        last = f"mlp.layers.{len(self.module.mlp.layers) - 1}"
+        for output in self._roles()[0]:
+            row = slice(output, output + 1)
+            state = held(state, last, row, math.log(self.sigma))
+        self.load_state_dict(state)
+        return report
+
+
+class NarrowInHalf(NetworkInHalf):
+    """Most of its densities are off by more than a tenth, which half precision has to be."""
+
+    sigma = 0.01
+
+
+class WrongNetworkInHalf(NetworkInHalf):
+    """Half too large, besides."""
+
+    times = 1.5
+
+
 class Refuses(planted.Correct):
     """Says what it wants."""
 
@@ -454,6 +513,9 @@ class Refuses(planted.Correct):
         (lambda: Histogram(resolution=8), "pass"),
         (lambda: Tabulated(resolution=16), "pass"),
         (InHalf, "degraded"),
+        (NetworkInHalf, "degraded"),
+        (NarrowInHalf, "degraded"),
+        (WrongNetworkInHalf, "fail"),
         (WrongInHalf, "fail"),
         (NanInHalf, "fail"),
     ],

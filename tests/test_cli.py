@@ -42,7 +42,7 @@ def test_version(capsys: pytest.CaptureFixture[str]):
     assert capsys.readouterr().out.strip() == __version__
 
 
-@pytest.mark.parametrize("kind", ["methods", "materials", "scenes", "measures", "suites"])
+@pytest.mark.parametrize("kind", ["methods", "materials", "scenes", "measures", "suites", "cases"])
 def test_list(kind: str, capsys: pytest.CaptureFixture[str]):
     assert main(["list", kind]) == 0
     lines = capsys.readouterr().out.splitlines()
