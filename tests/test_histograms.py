@@ -413,3 +413,23 @@ def test_mixed_draws_have_the_expectation_of_uniform_ones():
 def test_refused(make_it):
     with pytest.raises(InputError):
         make_it()
+
+
+def test_one_condition_many_times_is_any_other_batch():
+    """The network runs once for it; a row of another condition, or of nan, makes it run for all."""
+    method = make("histogram", 0.5)
+    condition, u = inputs(300)
+    same = condition[:1].expand(300, -1).clone()
+    mixed, broken = same.clone(), same.clone()
+    mixed[7], broken[7] = condition[7], torch.nan
+    runs = []
+    method.module.net.register_forward_hook(lambda net, rows, out: runs.append(len(out)))
+    alone = method.sample(same, u)
+    among, beside = method.sample(mixed, u), method.sample(broken, u)
+    assert runs == [1, 300, 300]
+    others = torch.arange(300) != 7
+    for drawn in (among, beside):
+        torch.testing.assert_close(drawn.wo[others], alone.wo[others], rtol=0, atol=1e-4)
+        torch.testing.assert_close(drawn.pdf[others], alone.pdf[others])
+    torch.testing.assert_close(method.pdf(same, among.wo)[others], among.pdf[others])
+    assert method.sample(same[:0], u[:0]).wo.shape == (0, 2)

@@ -165,6 +165,7 @@ def _plain(value: float) -> str:
 
 
 _NUMBERS: tuple[tuple[str, str, Callable[[float], str]], ...] = (
+    ("state", "refused", _share),
     ("weights", "eff", _share),
     ("invalid", "invalid", _share),
     ("coverage", "lost", _share),
