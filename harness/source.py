@@ -27,6 +27,7 @@ COUNTED = (
     "harness.nets",
     "harness.fitting",
     "harness.stats",
+    "harness.effects",
     "harness.scenes",
     "harness.materials",
     "harness.rendering",
@@ -37,6 +38,7 @@ UNCOUNTED = frozenset(
     {
         # They find, name, check or refuse things and hold no arithmetic.
         "harness.protocol.errors",
+        "harness.effects.registry",
         "harness.materials.registry",
         "harness.measures",
         "harness.measures.base",

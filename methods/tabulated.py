@@ -66,6 +66,12 @@ class Tabulated(Method):
         super().bind(material)
         self._last = None
 
+    def rebound(self, material: Material) -> Tabulated:
+        """See :meth:`Method.rebound`; tables of the other material are forgotten."""
+        other = super().rebound(material)
+        other._last = None
+        return other
+
     @torch.no_grad()
     def reference_pdf(self, condition: Tensor, wo: Tensor) -> Tensor | None:
         """See :meth:`Method.reference_pdf`: cells and sums in double, the material as it is."""

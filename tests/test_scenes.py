@@ -13,6 +13,7 @@ from harness.scenes.shapes import cloth_mesh, sphere_mesh
 
 XML = """<scene version="3.0.0">
   <sensor type="perspective"/>
+  <emitter type="constant"/>
   <bsdf type="diffuse" id="table"/>
   <shape type="sphere"><ref id="table"/></shape>
 </scene>"""
@@ -127,7 +128,7 @@ def test_xml_scene(tmp_path):
     spec = {"name": "kitchen", "file": "k.xml", "replace_bsdf": "table"}
     scene = registry.make(spec, tmp_path / "a")
     assert isinstance(scene, XmlScene)
-    assert scene.file == tmp_path / "a" / "k.xml" and scene.replace_bsdf == "table"
+    assert scene.file == tmp_path / "a" / "k.xml" and scene.replace_bsdf == {"table": "tested"}
     assert registry.identity(spec, tmp_path / "a") == registry.identity(spec, tmp_path / "b")
     (tmp_path / "b" / "k.xml").write_text(XML.replace("sphere", "cube"))
     assert registry.identity(spec, tmp_path / "a") != registry.identity(spec, tmp_path / "b")
@@ -143,6 +144,7 @@ def test_xml_scene(tmp_path):
         ({"name": "uniform-sphere", "radience": 2}, "did you mean 'radiance'"),
         ({"name": "uniform-sphere", "radiance": "2"}, "expected a number above 0"),
         ({"name": "uniform-sphere", "radiance": -1}, "expected a number above 0"),
+        ({"name": "uniform-sphere", "size": "lagre"}, "did you mean 'large'"),
         ({"name": "uniform-sphere", "radiance": float("inf")}, "expected a number above 0"),
         ({"name": "studio-sphere", "effects": ["enviroment"]}, "did you mean 'environment'"),
         ({"name": "studio-sphere", "effects": "environment"}, "expected a list"),

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import copy
+from collections.abc import Callable
 from typing import Any
 
 import drjit as dr
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -30,25 +33,60 @@ class MitsubaMaterial(Material):
     texture below it becomes features: its value at (u, v), one column per channel that
     varies. The condition is ``[u, v, features, wi.xy]`` with textures, ``[wi.xy]`` without.
 
+    It gives the effect ``texture`` where all its textures are bitmaps: without it each is the
+    mean of its texels. For that a second BSDF is made, from the dictionary or by ``again()``.
+
     Raises:
         InputError: the BSDF cannot be loaded, transmits, or has a delta lobe (which no
             density on the disk represents).
     """
 
-    def __init__(self, name: str, bsdf: Any, identity: dict[str, Any]):
+    def __init__(
+        self,
+        name: str,
+        bsdf: Any,
+        identity: dict[str, Any],
+        again: Callable[[], Any] | None = None,
+    ):
         self.name = name
         self._identity = identity
         mi = _mi()
+        if isinstance(bsdf, dict):
+            again = lambda: mi.load_dict(with_bitmaps(mi, bsdf))  # noqa: E731
         try:
-            self.bsdf = mi.load_dict(with_bitmaps(mi, bsdf)) if isinstance(bsdf, dict) else bsdf
+            self.bsdf = again() if isinstance(bsdf, dict) else bsdf
         except RuntimeError as error:
             reason = " ".join(str(error).split())
             raise InputError(f"material '{name}': Mitsuba cannot load it: {reason}") from None
+        self._again, self._plain = again, None
         self._refuse_what_a_disk_cannot_hold(mi)
         self._textures = _varying_textures(mi, self.bsdf)
         self.n_address = 2 if self._textures or self._varies_unseen(mi) else 0
         self._channels = self._find_channels(mi)
         self.n_features = len(self._channels)
+        bitmaps = all("data" in mi.traverse(texture) for _, texture in self._textures)
+        self.effects = frozenset({"texture"} if self._textures and bitmaps and again else ())
+
+    def with_effects(self, effects: frozenset[str]) -> Material:
+        """See :meth:`Material.with_effects`; without ``texture``, every texture is its mean.
+
+        Features are then the same everywhere, and the place on the material is of no account.
+        """
+        if "texture" in effects or not self.effects:
+            return self
+        if self._plain is None:
+            mi = _mi()
+            plain = copy.copy(self)
+            plain.bsdf, plain.effects = self._again(), frozenset()
+            plain._textures = _varying_textures(mi, plain.bsdf)
+            for _, texture in plain._textures:
+                texels = mi.traverse(texture)
+                mean = np.array(texels["data"]).mean((0, 1), keepdims=True, dtype=np.float64)
+                texels["data"] = mi.TensorXf(mean.astype(np.float32))
+                texels.update()
+            plain._identity = {**self._identity, "effects": []}
+            self._plain = plain
+        return self._plain
 
     def identity(self) -> dict[str, Any]:
         """See :meth:`Material.identity`."""

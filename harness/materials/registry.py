@@ -109,7 +109,11 @@ def make(spec: Spec, base_dir: Path | str | None = None) -> Material:
         module = importlib.import_module(f"{PACKAGE}.{name.replace('-', '_')}")
         return MitsubaMaterial(name, module.bsdf(), what)
     assert isinstance(spec, Mapping)
-    return MitsubaMaterial(spec["name"], _kind(spec).bsdf(spec, _base(base_dir)), what)
+
+    def bsdf() -> Any:
+        return _kind(spec).bsdf(spec, _base(base_dir))
+
+    return MitsubaMaterial(spec["name"], bsdf(), what, bsdf)
 
 
 # --- the kinds -------------------------------------------------------------------------

@@ -11,6 +11,7 @@ import torch
 from torch import Tensor, nn
 
 from harness.columns.bridge import Columns, Float
+from harness.protocol import counting
 
 _SLOPE = {"relu": 0.0, "leaky_relu": 0.01}
 
@@ -41,12 +42,15 @@ class MLP(nn.Module):
 
     def forward(self, x: Tensor) -> Tensor:
         """[..., widths[0]] -> [..., widths[-1]]."""
+        counting.add("network", x[..., 0].numel())
         for layer in self.layers[:-1]:
             x = nn.functional.leaky_relu(layer(x), self.slope)
         return self.layers[-1](x)
 
     def columns(self, x: Columns) -> Columns:
         """The network over columns, ``len(x) == widths[0]``. No gradients."""
+        if counting.wanted():
+            counting.add("network", max(dr.width(column) for column in x))
         if dr.backend_v(x[-1]) == dr.JitBackend.CUDA:
             return self._columns_scalar(x)
         weights, biases = self._pack(type(x[-1]))

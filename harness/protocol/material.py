@@ -26,7 +26,7 @@ class Material(ABC):
     n_address: int = 0
     n_features: int = 0
     effects: frozenset[str] = frozenset()
-    """Effects that it can give and can do without (``parallax``, ``media``, ...)."""
+    """Names of what it can do without (:mod:`harness.effects`), such as ``parallax``."""
 
     @property
     def n_condition(self) -> int:
@@ -64,6 +64,17 @@ class Material(ABC):
         name what lies elsewhere. A lobe's centre may lie outside the disk.
         """
         return condition.new_empty(len(condition), 0, 2)
+
+    def with_effects(self, effects: frozenset[str]) -> Material:
+        """The material that runs only those of its own ``effects``; itself, if it has none.
+
+        Its conditions keep their columns, so that a method fitted to the whole samples it too.
+        """
+        return self
+
+    def eval_luminance(self, condition: Tensor, wo: Tensor) -> Tensor:
+        """Luminance [N] of :meth:`eval`; overridden where one channel costs less than three."""
+        return luminance(self.eval(condition, wo))
 
     def conditions(self, n: int, generator: torch.Generator, device: str = "cpu") -> Tensor:
         """``n`` random conditions [n, C]: random places, ``wi`` uniform on the disk."""

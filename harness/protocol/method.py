@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
 from typing import Any, ClassVar, NamedTuple
@@ -118,6 +119,16 @@ class Method(ABC):
     def bind(self, material: Material) -> None:
         """Say which material the method samples. Called before ``fit`` and after loading."""
         self.material = material
+
+    def rebound(self, material: Material) -> Method:
+        """The same method, as fitted, for a ``material`` of the same conditions.
+
+        Such as the one it was fitted to without some of its effects: what was learnt stays,
+        and whatever asks the material asks this one.
+        """
+        other = copy.copy(self)
+        other.material = material
+        return other
 
     def fit(self, material: Material, budget: Budget, generator: torch.Generator) -> FitReport:
         """Adapt to ``material`` within ``budget``; all randomness comes from ``generator``."""

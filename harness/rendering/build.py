@@ -1,126 +1,137 @@
-"""Scene descriptions as Mitsuba scenes."""
+"""Scene descriptions as Mitsuba scenes: what their effects call for is built, and nothing else."""
 
 from __future__ import annotations
 
-import hashlib
-import tempfile
-import xml.etree.ElementTree as ElementTree
-from pathlib import Path
-from typing import Any, Literal
+from collections.abc import Callable
+from typing import Any
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from harness.protocol import InputError
-from harness.scenes.base import Mesh, Scene, Sphere, XmlScene
+from harness.effects import Recipe
+from harness.protocol.disk import REC709
+from harness.scenes.base import AreaLamp, Camera, MaterialSpec, Mesh, PointLamp, Scene, Sphere
 from harness.scenes.shapes import sphere_mesh
 
-Sampling = Literal["bsdf", "mis"]
-_EMITTER_SAMPLES = {"bsdf": 0, "mis": 1}
-_UNTESTED = {"type": "diffuse", "reflectance": {"type": "rgb", "value": 0.3}}
+_WEIGHTS = np.array(REC709)
+_BLACK = {
+    "name": "lamp",
+    "type": "mitsuba",
+    "bsdf": {"type": "diffuse", "reflectance": {"type": "rgb", "value": 0.0}},
+}
+
+Around = Callable[[MaterialSpec | None], mi.BSDF]
+"""The BSDF of a shape that does not carry the material under test."""
 
 
-def integrator(sampling: Sampling = "bsdf") -> mi.Integrator:
-    """Moments of direct light.
+def integrator(recipe: Recipe) -> mi.Integrator:
+    """Moments of Mitsuba's leanest integrator that does what ``recipe`` says.
 
-    By one sample of the BSDF (``bsdf``), or by that and one of the light, weighted by the
-    power heuristic (``mis``).
+    Direct light by one sample of the BSDF, with ``emitter_sampling`` one of the light too,
+    both weighted by the power heuristic. Mitsuba counts the light itself as a path's first
+    vertex, so its depth is one more than the bounces.
     """
-    nested = {
-        "type": "direct",
-        "bsdf_samples": 1,
-        "emitter_samples": _EMITTER_SAMPLES[sampling],
-        "hide_emitters": True,
-    }
+    nested: dict[str, Any] = {"type": recipe.integrator, "hide_emitters": True}
+    if recipe.integrator == "direct":
+        nested |= {"bsdf_samples": 1, "emitter_samples": int(recipe.emitter_sampling)}
+    else:
+        nested |= {"max_depth": recipe.bounces + 1}
     return mi.load_dict({"type": "moment", "nested": nested})
 
 
-def build(scene: Scene, bsdf: mi.BSDF, resolution: int) -> mi.Scene:
-    """The scene with ``bsdf`` on its tested shapes and ``resolution``^2 pixels."""
-    camera = scene.camera
+def build(
+    scene: Scene,
+    bsdf: mi.BSDF,
+    resolution: int,
+    recipe: Recipe,
+    around: Around,
+    counted: bool = False,
+) -> mi.Scene:
+    """The scene with ``bsdf`` on its tested shapes and ``resolution`` pixels across.
+
+    ``counted``: with lights that a meter can be put on.
+    """
     description: dict[str, Any] = {
         "type": "scene",
-        "sensor": {
-            "type": "perspective",
-            "fov": camera.fov,
-            "to_world": mi.ScalarTransform4f().look_at(
-                origin=list(camera.origin), target=list(camera.target), up=list(camera.up)
-            ),
-            "film": _film(resolution),
-        },
-        "environment": _light(scene.environment),
+        "sensor": _camera(scene.camera, resolution, recipe),
     }
+    if "environment" in recipe.lights:
+        light = _environment(scene.environment, recipe.channels)
+        description["environment"] = _counted(light) if counted else light
+    for i, lamp in enumerate(scene.lamps):
+        if isinstance(lamp, AreaLamp) and "area-lights" in recipe.lights:
+            description[f"lamp{i}"] = _area(lamp, around(_BLACK), recipe.channels, counted)
+        elif isinstance(lamp, PointLamp) and "point-lights" in recipe.lights:
+            light = {
+                "type": "point",
+                "position": list(lamp.position),
+                "intensity": _colour(lamp.intensity, recipe.channels),
+            }
+            description[f"lamp{i}"] = _counted(light) if counted else light
     for i, shape in enumerate(scene.shapes):
-        material = bsdf if shape.tested else mi.load_dict(_UNTESTED)
+        material = bsdf if shape.tested else around(shape.material)
         description[f"shape{i}"] = _mesh(f"shape{i}", shape, material)
     return mi.load_dict(description)
 
 
-def build_xml(scene: XmlScene, key: str, resolution: int) -> mi.Scene:
-    """The user's file with the BSDF of id ``replace_bsdf`` replaced by the pair offered as ``key``.
-
-    Camera, lights and geometry stay the file's own; integrator and film become those of the
-    harness, with the file's aspect ratio and ``resolution`` pixels across.
-    """
-    tree = ElementTree.parse(scene.file)
-    root = tree.getroot()
-    for parent in root.iter():
-        for i, child in enumerate(parent):
-            if child.tag == "bsdf" and child.get("id") == scene.replace_bsdf:
-                slot = ElementTree.Element("bsdf", type="harness", id=scene.replace_bsdf)
-                ElementTree.SubElement(slot, "string", name="key", value=key)
-                parent[i] = slot
-    for child in [c for c in root if c.tag == "integrator"]:
-        root.remove(child)
-    for film in root.iter("film"):
-        _resize(film, resolution)
-    # In the file's own folder names of textures and meshes resolve as the user wrote them.
-    mi.file_resolver().prepend(str(scene.file.parent.resolve()))
-    with tempfile.TemporaryDirectory() as folder:
-        edited = Path(folder) / "scene.xml"
-        tree.write(edited)
-        try:
-            loaded = mi.load_file(str(edited))
-        except RuntimeError as error:
-            reason = " ".join(str(error).split())
-            raise InputError(f"scene '{scene.file}': Mitsuba cannot load it: {reason}") from None
-    return loaded
-
-
-def scene_key(*parts: str) -> str:
-    """A short name for a material and method pair, as Mitsuba properties allow."""
-    return hashlib.sha256("\0".join(parts).encode()).hexdigest()[:16]
-
-
-def _film(resolution: int) -> dict[str, Any]:
-    # A box filter keeps pixels independent, so that their variances mean what they say.
+def film(width: int, height: int) -> dict[str, Any]:
+    """A box filter keeps pixels independent, so that their variances mean what they say."""
     return {
         "type": "hdrfilm",
-        "width": resolution,
-        "height": resolution,
+        "width": width,
+        "height": height,
         "pixel_format": "rgb",
         "rfilter": {"type": "box"},
     }
 
 
-def _resize(film: ElementTree.Element, resolution: int) -> None:
-    size = {e.get("name"): e for e in film if e.get("name") in ("width", "height")}
-    width = int(size["width"].get("value")) if "width" in size else 768
-    height = int(size["height"].get("value")) if "height" in size else 576
-    for child in list(film):
-        if child.get("name") in ("width", "height") or child.tag == "rfilter":
-            film.remove(child)
-    wanted = {"width": resolution, "height": max(1, round(resolution * height / width))}
-    for name, value in wanted.items():
-        ElementTree.SubElement(film, "integer", name=name, value=str(value))
-    ElementTree.SubElement(film, "rfilter", type="box")
+def _camera(camera: Camera, resolution: int, recipe: Recipe) -> dict[str, Any]:
+    sensor = {
+        "type": "thinlens" if recipe.lens else "perspective",
+        "fov": camera.fov,
+        "to_world": mi.ScalarTransform4f().look_at(
+            origin=list(camera.origin), target=list(camera.target), up=list(camera.up)
+        ),
+        "film": film(resolution, max(1, round(resolution / camera.aspect))),
+    }
+    if recipe.lens:
+        sensor |= {"aperture_radius": camera.aperture, "focus_distance": camera.focus}
+    return sensor
 
 
-def _light(environment: float | np.ndarray) -> dict[str, Any]:
-    if isinstance(environment, np.ndarray):
-        return {"type": "envmap", "bitmap": mi.Bitmap(environment.astype(np.float32))}
-    return {"type": "constant", "radiance": {"type": "rgb", "value": float(environment)}}
+def _counted(light: dict[str, Any]) -> dict[str, Any]:
+    return {"type": "counted-light", "nested": light}
+
+
+def _environment(environment: float | np.ndarray | None, channels: int) -> dict[str, Any]:
+    if not isinstance(environment, np.ndarray):
+        return {"type": "constant", "radiance": _colour([environment] * 3, 3)}
+    if channels == 1:
+        environment = environment @ _WEIGHTS
+        environment = np.repeat(environment[..., None], 3, -1)
+    return {"type": "envmap", "bitmap": mi.Bitmap(environment.astype(np.float32))}
+
+
+def _area(lamp: AreaLamp, bsdf: mi.BSDF, channels: int, counted: bool) -> dict[str, Any]:
+    """Mitsuba's rectangle is [-1, 1]^2 and faces +z, as a camera's image does."""
+    place = mi.ScalarTransform4f().look_at(
+        origin=list(lamp.center), target=list(lamp.to), up=list(lamp.up)
+    )
+    return {
+        "type": "rectangle",
+        "to_world": place @ mi.ScalarTransform4f().scale([lamp.size[0] / 2, lamp.size[1] / 2, 1]),
+        "bsdf": bsdf,
+        "emitter": {
+            "type": "counted-area" if counted else "area",
+            "radiance": _colour(lamp.radiance, channels),
+        },
+    }
+
+
+def _colour(rgb: Any, channels: int) -> dict[str, Any]:
+    rgb = [float(v) for v in rgb]
+    return {"type": "rgb", "value": rgb if channels == 3 else [float(np.dot(rgb, _WEIGHTS))] * 3}
 
 
 def _mesh(name: str, shape: Sphere | Mesh, bsdf: Any) -> mi.Mesh:

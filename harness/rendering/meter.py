@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from typing import Any, TypeVar
@@ -11,8 +12,24 @@ from typing import Any, TypeVar
 import drjit as dr
 import torch
 
+from harness.protocol import counting
+
 PARTS = ("sample", "pdf", "eval")
 """What a BSDF does: the method's sampler, its density, the material's reflectance."""
+
+COUNTS = (
+    "bounces",
+    "rays",
+    "shadow-rays",
+    "evaluations",
+    "values",
+    "pdf-queries",
+    "light-queries",
+    "network",
+)
+"""What is counted over all surfaces of a scene, see :class:`Meter`."""
+
+_ROWS = {"sample": "samples", "pdf": "pdf-queries", "eval": "evaluations"}
 
 Result = TypeVar("Result")
 
@@ -41,9 +58,13 @@ class Meter:
     parts: dict[str, Tally] = field(default_factory=lambda: {part: Tally() for part in PARTS})
     points: int = 0
     directions: int = 0
+    counts: Counter[str] = field(default_factory=Counter)
 
     def during(self, part: str, active: Any, inputs: Any, work: Callable[[], Result]) -> Result:
         """``work()``, its time and active rows added to ``part``."""
+        if _traced():
+            return work()
+        rows = _count(active)
         dr.eval(inputs, active)
         _finish()
         start = time.perf_counter()
@@ -53,13 +74,26 @@ class Meter:
         tally = self.parts[part]
         tally.seconds += time.perf_counter() - start
         tally.calls += 1
-        tally.rows += _count(active)
+        tally.rows += rows
+        self.counts[_ROWS[part]] += rows
         return result
 
     def sampled(self, hit: Any, value: Any) -> None:
-        """A call of ``BSDF.sample`` gave ``value`` on the rows ``hit``."""
-        self.points += _count(hit)
-        self.directions += _count(hit & dr.any(value != 0))
+        """A call of ``BSDF.sample`` gave ``value`` on the rows ``hit`` of the tested material."""
+        points, directions = self.bounced(hit, value)
+        self.points += points
+        self.directions += directions
+
+    def bounced(self, hit: Any, value: Any) -> tuple[int, int]:
+        """A call of any ``BSDF.sample`` gave ``value`` on the rows ``hit``: (rows, that go on)."""
+        found = _count(hit), _count(hit & dr.any(value != 0))
+        self.counts["bounces"] += found[0]
+        self.counts["rays"] += found[1]
+        return found
+
+    def add(self, what: str, active: Any, times: int = 1) -> None:
+        """``times`` the active rows to a count."""
+        self.counts[what] += times * _count(active)
 
 
 @contextlib.contextmanager
@@ -67,13 +101,23 @@ def metered(bsdf: Any) -> Iterator[Meter]:
     """A meter on a ``SampledBSDF`` while the block runs."""
     bsdf.meter = Meter()
     try:
-        yield bsdf.meter
+        with counting.into(bsdf.meter.counts):
+            yield bsdf.meter
     finally:
         bsdf.meter = None
 
 
 def _count(mask: Any) -> int:
-    return int(dr.count(mask)[0])
+    return 0 if _traced() else int(dr.count(mask)[0])
+
+
+def _traced() -> bool:
+    """Whether a symbolic kernel is being traced, which has no rows yet.
+
+    Only of another render: a metered one runs call by call. Dr.Jit traces all BSDFs and lights
+    alive, whether or not they are in the scene that is rendered.
+    """
+    return bool(dr.flag(dr.JitFlag.SymbolicScope))
 
 
 def _finish() -> None:

@@ -5,7 +5,8 @@ Import this module after ``variant.use``: a Mitsuba class belongs to a variant.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import contextlib
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
 import drjit as dr
@@ -13,10 +14,12 @@ import mitsuba as mi
 import torch
 
 from harness.columns import ColumnMethod, Columns, columns_of, tensor_of
-from harness.protocol import Material, Method
+from harness.effects import Recipe
+from harness.protocol import Material, Method, luminance
 from harness.rendering.meter import Meter
 
-_PAIRS: dict[str, Callable[[], SampledBSDF]] = {}
+_OFFERED: dict[str, mi.BSDF] = {}
+_RELAY: list[Any] = []
 
 
 class SampledBSDF(mi.BSDF):
@@ -38,11 +41,26 @@ class SampledBSDF(mi.BSDF):
         self.in_columns = isinstance(method, ColumnMethod)
         self.nested = getattr(material, "bsdf", None)
         self.meter: Meter | None = None
+        self.channels, self.weighed = 3, True
         flags = mi.BSDFFlags.GlossyReflection | mi.BSDFFlags.FrontSide
         if material.n_address + material.n_features:
             flags = flags | mi.BSDFFlags.SpatiallyVarying
         self.m_components = [flags]
-        self.m_flags = flags
+        self.m_flags = self.lobe = flags
+
+    def follow(self, recipe: Recipe, meter: Meter | None = None) -> None:
+        """Do what ``recipe`` asks for and no more. To be called before a scene is built.
+
+        Without light sampling nobody asks for a density. Mitsuba's path tracers sample lights
+        at every surface that is not perfectly specular, so that is what this one then claims
+        to be: no ray goes to a light, nothing is evaluated for it, and a light that is met
+        counts in full.
+        """
+        self.channels, self.meter = recipe.channels, meter
+        self.weighed = recipe.emitter_sampling or recipe.integrator == "direct"
+        if not self.weighed:
+            self.lobe = unweighed(self.m_flags)
+            self.m_components, self.m_flags = [self.lobe], self.lobe
 
     def sample(self, ctx: Any, si: Any, sample1: Any, sample2: Any, active: Any = True) -> Any:
         """A direction from three uniforms, and f cos / pdf."""
@@ -63,7 +81,8 @@ class SampledBSDF(mi.BSDF):
         bs.wo = mi.Vector3f(dr.select(valid, x, 0), dr.select(valid, y, 0), cos)
         bs.pdf = dr.select(valid, pdf * cos, dr.select(usable, 1, 0))
         bs.eta = 1
-        bs.sampled_type = mi.UInt32(+mi.BSDFFlags.GlossyReflection)
+        reflects = mi.BSDFFlags.GlossyReflection if self.weighed else mi.BSDFFlags.DeltaReflection
+        bs.sampled_type = mi.UInt32(+reflects)
         bs.sampled_component = mi.UInt32(0)
         if weight:
             value = dr.select(valid, mi.Color3f(*weight), 0)
@@ -76,12 +95,16 @@ class SampledBSDF(mi.BSDF):
 
     def eval(self, ctx: Any, si: Any, wo: Any, active: Any = True) -> Any:
         """f cos."""
+        if not self.weighed:
+            return mi.Color3f(0)
         if self._untraceable():
             return mi.Color3f(dr.inf)
         return self._value(ctx, si, wo, self._above(si, wo, active))
 
     def pdf(self, ctx: Any, si: Any, wo: Any, active: Any = True) -> Any:
         """Density per solid angle of :meth:`sample`."""
+        if not self.weighed:
+            return mi.Float(0)
         if self._untraceable():
             return mi.Float(dr.inf)
         above = self._above(si, wo, active)
@@ -162,20 +185,43 @@ class SampledBSDF(mi.BSDF):
     def _value(self, ctx: Any, si: Any, wo: Any, active: Any) -> Any:
         if self.meter is None:
             return self._value_bare(ctx, si, wo, active)
+        self.meter.add("values", active, self.channels)
         return self.meter.during(
             "eval", active, [si, wo], lambda: self._value_bare(ctx, si, wo, active)
         )
 
     def _value_bare(self, ctx: Any, si: Any, wo: Any, active: Any) -> Any:
         if self.nested is not None and not self.own_eval:
-            return self.nested.eval(ctx, si, wo, active)
+            value = self.nested.eval(ctx, si, wo, active)
+            return value if self.channels == 3 else mi.Color3f(mi.luminance(value))
         c = self._condition(si)
 
         def value(rows: torch.Tensor) -> torch.Tensor:
-            return self.method.eval(rows[:, : len(c)], rows[:, len(c) :])
+            condition, direction = rows[:, : len(c)], rows[:, len(c) :]
+            if self.channels == 3:
+                return self.method.eval(condition, direction)
+            if self.own_eval:
+                return luminance(self.method.eval(condition, direction))[:, None]
+            return self.material.eval_luminance(condition, direction)[:, None]
 
-        rgb = _on_active_rows(value, [*c, wo.x, wo.y], active, outputs=3)
-        return dr.select(active, mi.Color3f(*rgb) * wo.z, 0)
+        f = _on_active_rows(value, [*c, wo.x, wo.y], active, outputs=self.channels)
+        # One channel is one number three times over, which Dr.Jit computes once.
+        return dr.select(active, mi.Color3f(*(f if self.channels == 3 else 3 * f)) * wo.z, 0)
+
+
+def unweighed(flags: Any) -> Any:
+    """``flags`` of a BSDF of which no light is to be sampled: its lobes, as if specular."""
+    smooth = (
+        (mi.BSDFFlags.DiffuseReflection, mi.BSDFFlags.DeltaReflection),
+        (mi.BSDFFlags.GlossyReflection, mi.BSDFFlags.DeltaReflection),
+        (mi.BSDFFlags.DiffuseTransmission, mi.BSDFFlags.DeltaTransmission),
+        (mi.BSDFFlags.GlossyTransmission, mi.BSDFFlags.DeltaTransmission),
+    )
+    flags = int(flags)
+    for lobe, specular in smooth:
+        if flags & int(lobe):
+            flags = flags & ~int(lobe) | int(specular)
+    return flags
 
 
 def _full(columns: Columns, n: int) -> Columns:
@@ -199,10 +245,29 @@ def _on_active_rows(function: Any, columns: Columns, active: Any, outputs: int) 
     return results
 
 
-def offer(key: str, make: Callable[[], SampledBSDF]) -> None:
-    """Let a scene file refer to what ``make`` gives as
-    ``<bsdf type="harness"><string name="key" .../>``."""
-    _PAIRS[key] = make
+@contextlib.contextmanager
+def offered(
+    bsdfs: Mapping[str, mi.BSDF], relay: Callable[[mi.BSDF], mi.BSDF] | None = None
+) -> Iterator[None]:
+    """What a scene file that is loaded in the block may refer to.
+
+    Each of ``bsdfs`` is ``<bsdf type="harness"><string name="key" .../>``, and what ``relay``
+    makes of another BSDF is ``<bsdf type="harness-relay">`` around that one.
+    """
+    _OFFERED.update(bsdfs)
+    _RELAY[:] = [relay]
+    try:
+        yield
+    finally:
+        # What stays alive is compiled into every symbolic kernel.
+        _OFFERED.clear()
+        _RELAY.clear()
 
 
-mi.register_bsdf("harness", lambda props: _PAIRS[props["key"]]())
+def _relayed(props: Any) -> mi.BSDF:
+    nested = (value for _, value in props.items())
+    return _RELAY[0](next(value for value in nested if isinstance(value, mi.BSDF)))
+
+
+mi.register_bsdf("harness", lambda props: _OFFERED[props["key"]])
+mi.register_bsdf("harness-relay", _relayed)

@@ -2,18 +2,32 @@
 
 from __future__ import annotations
 
+import contextlib
+import json
+import weakref
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Literal
 
 import mitsuba as mi
 import numpy as np
 
-from harness.protocol import Material, Method, Unsupported
-from harness.rendering import build, passes, plugin
-from harness.scenes.base import Scene, XmlScene
+from harness.effects import Recipe, recipe_of, require_of
+from harness.materials import registry as materials
+from harness.protocol import Material, Method, Unsupported, counting
+from harness.rendering import build, counted_light, passes, plugin
+from harness.rendering.build_xml import build_xml
+from harness.rendering.meter import Meter
+from harness.rendering.relay import RelayBSDF, needed
+from harness.scenes.base import TESTED, MaterialSpec, Scene, XmlScene
 
 MakeBSDF = Callable[[Material, Method], plugin.SampledBSDF]
+Sampling = Literal["bsdf", "mis"]
+_EMITTER_SAMPLING = {"bsdf": False, "mis": True}
+
+# Materials around the one under test, as long as a scene that is alive uses them.
+_around: weakref.WeakValueDictionary[str, Material] = weakref.WeakValueDictionary()
 
 
 @dataclass
@@ -24,10 +38,15 @@ class Prepared:
     integrator: mi.Integrator
     bsdf: mi.BSDF
     symbolic: bool = False
+    recipe: Recipe = Recipe()
+    meter: Meter | None = None
+    kept: tuple[Material, ...] = ()
+    """Materials of other shapes: they are shared with scenes built while this one lives."""
 
     def render(self, spp: int, seed: int) -> passes.Pass:
         """``spp`` samples per pixel; see :func:`passes.render`."""
-        return passes.render(self.scene, self.integrator, spp, seed, self.symbolic)
+        with counting.into(self.meter.counts) if self.meter else contextlib.nullcontext():
+            return passes.render(self.scene, self.integrator, spp, seed, self.symbolic)
 
     @cached_property
     def mask(self) -> np.ndarray:
@@ -40,42 +59,129 @@ def prepare(
     material: Material,
     method: Method,
     resolution: int,
-    sampling: build.Sampling = "bsdf",
+    sampling: Sampling | None = None,
     bsdf: MakeBSDF = plugin.SampledBSDF,
+    meter: Meter | None = None,
 ) -> Prepared:
-    """The scene with ``material`` sampled by ``method``: direct light.
+    """The scene with ``material`` sampled by ``method``, and what its effects call for.
 
-    By BSDF samples alone (``sampling="bsdf"``), or by those and light samples, weighted by
-    the method's pdf (``"mis"``). ``bsdf`` makes the BSDF of the pair.
+    ``sampling`` overrules whether lights are sampled: by BSDF samples alone (``"bsdf"``), or
+    by those and light samples, weighted by the method's pdf (``"mis"``). ``bsdf`` makes the
+    BSDF of the pair. A ``meter`` counts what all surfaces and lights are asked for, which
+    takes time.
+
+    Raises:
+        InputError: an effect that the scene or the material cannot give.
     """
-    if not isinstance(scene, XmlScene):
-        placed = bsdf(material, method)
-        return Prepared(build.build(scene, placed, resolution), build.integrator(sampling), placed)
-    # The method is part of the key by identity: two fits of one method are two pairs.
-    key = build.scene_key(str(scene.file), material.name, method.name, str(id(method)))
-    plugin.offer(key, lambda: bsdf(material, method))
-    loaded = build.build_xml(scene, key, resolution)
-    placed = next(s.bsdf() for s in loaded.shapes() if isinstance(s.bsdf(), plugin.SampledBSDF))
-    return Prepared(loaded, build.integrator(sampling), placed)
+    recipe = _recipe(scene, material, sampling)
+    material, method = _reduced(material, method, recipe)
+    placed = bsdf(material, method)
+    placed.follow(recipe, meter)
+    return _placed(scene, placed, resolution, recipe, meter)
 
 
 def prepare_native(
-    scene: Scene, material: Material, resolution: int, sampling: build.Sampling = "mis"
+    scene: Scene | XmlScene,
+    material: Material,
+    resolution: int,
+    sampling: Sampling | None = "mis",
 ) -> Prepared:
     """The scene with the material's own BSDF, sampler and Mitsuba's default execution.
 
     Nothing of the harness takes part in the render, so it serves as an independent
     reference image (``sampling="mis"``, which reaches also what the BSDF's sampler does
-    not) and as a yardstick of speed (``sampling="bsdf"``).
+    not) and as a yardstick of speed (``"bsdf"``, or None for what the scene calls for).
 
     Raises:
         Unsupported: the material is not a Mitsuba BSDF, or the scene is a file.
     """
+    recipe = _recipe(scene, material, sampling)
+    material = material.with_effects(recipe.of(material.effects))
     bsdf = getattr(material, "bsdf", None)
     if bsdf is None:
         raise Unsupported(f"material '{material.name}' is no Mitsuba BSDF")
     if isinstance(scene, XmlScene):
         raise Unsupported("a scene of the user's file is rendered with the harness's BSDF only")
-    return Prepared(
-        build.build(scene, bsdf, resolution), build.integrator(sampling), bsdf, symbolic=True
-    )
+    placed = RelayBSDF(bsdf, recipe) if needed(recipe, None) else bsdf
+    return replace(_placed(scene, placed, resolution, recipe, None), symbolic=True)
+
+
+def _recipe(scene: Scene | XmlScene, material: Material, sampling: Sampling | None) -> Recipe:
+    require_of(scene, material)
+    recipe = recipe_of(scene)
+    if sampling is None:
+        return recipe
+    return replace(recipe, emitter_sampling=_EMITTER_SAMPLING[sampling])
+
+
+def _reduced(material: Material, method: Method, recipe: Recipe) -> tuple[Material, Method]:
+    """Both without the material's effects that are not called for; the fit stays as it is."""
+    wanted = recipe.of(material.effects)
+    if wanted == material.effects:
+        return material, method
+    material = material.with_effects(wanted)
+    return material, method.rebound(material)
+
+
+def _placed(
+    scene: Scene | XmlScene,
+    placed: mi.BSDF,
+    resolution: int,
+    recipe: Recipe,
+    meter: Meter | None,
+) -> Prepared:
+    """The scene with ``placed`` on what is tested, and other materials around it."""
+    kept: list[Material] = []
+    made: dict[str, mi.BSDF] = {}
+
+    def around(spec: MaterialSpec | None) -> mi.BSDF:
+        key = json.dumps(spec, sort_keys=True)
+        if key not in made:
+            kept.append(_material(key, spec))
+            made[key] = _bsdf(kept[-1], recipe, meter)
+        return made[key]
+
+    if isinstance(scene, XmlScene):
+        bsdfs = {
+            key: placed if spec == TESTED else around(spec)
+            for key, spec in scene.replace_bsdf.items()
+        }
+
+        def relay(nested: mi.BSDF) -> RelayBSDF:
+            return RelayBSDF(nested, recipe, meter)
+
+        wrap = relay if needed(recipe, meter) else None
+        loaded = build_xml(scene, bsdfs, resolution, recipe, wrap, meter is not None)
+    else:
+        loaded = build.build(scene, placed, resolution, recipe, around, meter is not None)
+    if meter is not None:
+        for light in loaded.emitters():
+            assert isinstance(light, counted_light.CountedLight)
+            light.meter = meter
+    integrator = build.integrator(recipe)
+    return Prepared(loaded, integrator, placed, False, recipe, meter, tuple(kept))
+
+
+def _material(key: str, spec: MaterialSpec | None) -> Material:
+    if key not in _around:
+        grey = {"type": "diffuse", "reflectance": {"type": "rgb", "value": 0.3}}
+        made = materials.make(spec or {"name": "grey", "type": "mitsuba", "bsdf": grey})
+        _around[key] = made
+        return made
+    return _around[key]
+
+
+def _bsdf(material: Material, recipe: Recipe, meter: Meter | None) -> mi.BSDF:
+    """The BSDF of a material that is not under test: its own, or sampled by the cosine."""
+    material = material.with_effects(recipe.of(material.effects))
+    own = getattr(material, "bsdf", None)
+    if own is not None:
+        return RelayBSDF(own, recipe, meter) if needed(recipe, meter) else own
+    from harness import registry
+
+    native = registry.make("native")
+    method = native if native.supports(material)[0] else registry.make("cosine")
+    method.bind(material)
+    placed = plugin.SampledBSDF(material, method)
+    placed.follow(recipe, meter)
+    return placed

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 from harness import registry
 from harness.protocol import InputError, nearest
@@ -48,6 +49,7 @@ def check_trials(plan: Plan, trials: list[Trial]) -> None:
     from harness.scenes import registry as scenes
 
     seen: list[tuple] = []
+    check_effects(plan, trials)
     for trial in trials:
         for kind, label, spec in (
             ("methods", trial.method, (trial.method_name, trial.params)),
@@ -66,6 +68,32 @@ def check_trials(plan: Plan, trials: list[Trial]) -> None:
                 text = str(error) if isinstance(error, InputError) else registry.oneline(error)
                 text = text.strip().partition("\n")[0]
                 raise InputError(f"{plan.where}: {kind}: '{label}': {text}") from error
+
+
+def check_effects(plan: Plan, trials: list[Trial]) -> None:
+    """Every material can give what the scenes of its trials call for.
+
+    Only a scene that names effects of the material has its material made here.
+    """
+    from harness import effects
+    from harness.materials import registry as materials
+    from harness.scenes import registry as scenes
+
+    made: dict[str, Any] = {}
+    pairs = {(t.scene, t.material): t for t in trials if t.scene}
+    for trial in pairs.values():
+        scene = made.setdefault(f"scene {trial.scene}", None) or scenes.make(trial.scene_spec)
+        made[f"scene {trial.scene}"] = scene
+        if effects.is_auto(scene.effects):
+            continue
+        if not any(effect.own for effect in effects.parse(scene.effects)):
+            continue
+        if trial.material not in made:
+            made[trial.material] = materials.make(trial.material_spec)
+        try:
+            effects.require_of(scene, made[trial.material])
+        except InputError as error:
+            raise InputError(f"{plan.where}: scenes: {error}") from None
 
 
 def check_output(results: Path) -> None:

@@ -6,14 +6,20 @@ the renderer's unit, linear Rec. 709.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float32]
 Vec3 = tuple[float, float, float]
+MaterialSpec = str | Mapping[str, Any]
+"""As in a suite; see :mod:`harness.materials.registry`."""
+TESTED = "tested"
+"""Stands for the material under test where a scene lists materials."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,7 +28,8 @@ class Mesh:
 
     ``vertices`` [V, 3]; ``faces`` [F, 3] indices, counter-clockwise from outside;
     ``normals`` [V, 3] of unit length, or None for flat faces; ``uv`` [V, 2], which may leave
-    [0, 1] (textures repeat). ``tested`` says whether it carries the material under test.
+    [0, 1] (textures repeat). ``tested`` says whether it carries the material under test;
+    ``material`` is another one's specification, None for a grey Lambertian one.
     """
 
     vertices: Array
@@ -30,6 +37,7 @@ class Mesh:
     normals: Array | None
     uv: Array
     tested: bool = True
+    material: MaterialSpec | None = None
 
 
 @dataclass(frozen=True)
@@ -46,44 +54,103 @@ class Sphere:
     radius: float = 1.0
     uv_scale: tuple[float, float] = (4.0, 2.0)
     tested: bool = True
+    material: MaterialSpec | None = None
+    rows: int = 96
+    """Rows of its tessellation; twice as many columns."""
 
 
 @dataclass(frozen=True)
 class Camera:
-    """Perspective camera with a square image; ``fov`` its full angle, in degrees."""
+    """Perspective camera; ``fov`` is its full angle across the image, in degrees.
+
+    ``aspect`` is width over height. With the effect ``depth-of-field`` it has a lens of radius
+    ``aperture``, in units of length, focused at ``focus`` units of length along the axis.
+    """
 
     origin: Vec3
     target: Vec3
     up: Vec3 = (0.0, 1.0, 0.0)
     fov: float = 30.0
+    aspect: float = 1.0
+    aperture: float = 0.0
+    focus: float = 0.0
+
+
+@dataclass(frozen=True)
+class AreaLamp:
+    """A rectangle that emits ``radiance`` from the side it faces.
+
+    ``to`` is a point it faces; ``size`` its width and height, the height as near to ``up`` as
+    it can be.
+    """
+
+    center: Vec3
+    to: Vec3
+    size: tuple[float, float]
+    radiance: Vec3
+    up: Vec3 = (0.0, 1.0, 0.0)
+
+
+@dataclass(frozen=True)
+class PointLamp:
+    """A point that emits ``intensity``, in power per solid angle."""
+
+    position: Vec3
+    intensity: Vec3
 
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """Geometry, light, camera, and the effects that the scene calls for.
+    """Geometry, lights, camera, and the effects that the scene calls for.
 
-    ``environment`` is either a constant radiance or a latitude-longitude map [H, W, 3] as
-    described in :mod:`harness.scenes.environment`. ``effects`` are names of
-    :mod:`harness.scenes.effects`; nothing that is not named there is simulated.
+    ``environment`` is a constant radiance, a latitude-longitude map [H, W, 3] as described in
+    :mod:`harness.scenes.environment`, or None. ``effects`` are names of
+    :mod:`harness.effects`, with their values as texts (``"indirect: 12"``); what is not named
+    there is not simulated, so a lamp that is here may yet be dark.
     """
 
     name: str
     effects: tuple[str, ...]
     shapes: tuple[Sphere | Mesh, ...]
-    environment: float | Array
+    environment: float | Array | None
     camera: Camera
     description: str = ""
+    lamps: tuple[AreaLamp | PointLamp, ...] = ()
+
+    media = False
+    """Whether it has participating media."""
+
+    @property
+    def lights(self) -> frozenset[str]:
+        """The kinds of light it has, as effects call them."""
+        kinds = {"area-lights" if isinstance(x, AreaLamp) else "point-lights" for x in self.lamps}
+        return frozenset(kinds | ({"environment"} if self.environment is not None else set()))
+
+    @property
+    def camera_has_lens(self) -> bool:
+        """Whether depth of field can be had."""
+        return self.camera.aperture > 0
 
 
 @dataclass(frozen=True)
 class XmlScene:
-    """A user's own Mitsuba scene, in which one BSDF is replaced by the one under test.
+    """A user's own Mitsuba scene, in which BSDFs are replaced.
 
-    ``file`` was found to be a Mitsuba scene with a BSDF of the id ``replace_bsdf``.
+    ``file`` was found to be a Mitsuba scene with BSDFs of the ids in ``replace_bsdf``; each is
+    replaced by the material of that specification, ``"tested"`` for the one under test.
+    ``lights``, ``camera_has_lens`` and ``media`` say what the file has.
     """
 
     name: str
     file: Path
-    replace_bsdf: str
+    replace_bsdf: Mapping[str, MaterialSpec]
     effects: tuple[str, ...] = field(default=("environment",))
     description: str = ""
+    lights: frozenset[str] = frozenset({"environment"})
+    camera_has_lens: bool = False
+    media: bool = False
+
+    @property
+    def tested_ids(self) -> list[str]:
+        """Ids of the BSDFs that give way to the material under test."""
+        return [name for name, material in self.replace_bsdf.items() if material == TESTED]

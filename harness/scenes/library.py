@@ -7,6 +7,7 @@ from collections.abc import Callable
 from harness.scenes.base import Camera, Scene, Sphere
 from harness.scenes.environment import open_shade, studio
 from harness.scenes.shapes import cloth_mesh
+from harness.scenes.sizes import SCALE, Size
 
 EFFECTS = ("environment",)
 
@@ -15,53 +16,62 @@ _AT_SPHERE = Camera(origin=(0.0, 0.0, 4.0), target=(0.0, 0.0, 0.0), fov=29.6)
 _AT_CLOTH = Camera(origin=(0.0, 0.0, 5.0), target=(0.0, 0.0, 0.0), fov=24.0)
 
 
-def _sphere(texture_repeat: float) -> Sphere:
+def _sphere(texture_repeat: float, size: Size) -> Sphere:
     # A full turn of u is twice as long as v from pole to pole.
-    return Sphere(uv_scale=(2 * texture_repeat, texture_repeat))
+    scale = (2 * texture_repeat, texture_repeat)
+    return Sphere(uv_scale=scale, rows=int(96 * SCALE[size]))
 
 
-def uniform_sphere(radiance: float = 1.0, texture_repeat: float = 2.0) -> Scene:
+def _map(size: Size) -> dict[str, int]:
+    return {"height": int(128 * SCALE[size]), "width": int(256 * SCALE[size])}
+
+
+def uniform_sphere(
+    radiance: float = 1.0, texture_repeat: float = 2.0, size: Size = "medium"
+) -> Scene:
     """Sphere in constant light: only the BSDF shapes the integrand."""
     return Scene(
         "uniform-sphere",
         EFFECTS,
-        (_sphere(texture_repeat),),
+        (_sphere(texture_repeat, size),),
         radiance,
         _AT_SPHERE,
         "a sphere in constant light",
     )
 
 
-def studio_sphere(texture_repeat: float = 2.0) -> Scene:
+def studio_sphere(texture_repeat: float = 2.0, size: Size = "medium") -> Scene:
     """Sphere in a photographer's studio: small bright lamps in a dim room."""
     return Scene(
         "studio-sphere",
         EFFECTS,
-        (_sphere(texture_repeat),),
-        studio(),
+        (_sphere(texture_repeat, size),),
+        studio(**_map(size)),
         _AT_SPHERE,
         "a sphere under studio softboxes",
     )
 
 
-def draped_cloth(texture_repeat: float = 2.0) -> Scene:
+def draped_cloth(texture_repeat: float = 2.0, size: Size = "medium") -> Scene:
     """Draped cloth in open shade: broad light and one low, hazy sun."""
     return Scene(
         "draped-cloth",
         EFFECTS,
-        (cloth_mesh(texture_repeat),),
-        open_shade(),
+        (cloth_mesh(texture_repeat, int(160 * SCALE[size])),),
+        open_shade(**_map(size)),
         _AT_CLOTH,
         "a hanging cloth in open shade",
     )
 
 
-def uniform_cloth(radiance: float = 1.0, texture_repeat: float = 2.0) -> Scene:
+def uniform_cloth(
+    radiance: float = 1.0, texture_repeat: float = 2.0, size: Size = "medium"
+) -> Scene:
     """Draped cloth in constant light."""
     return Scene(
         "uniform-cloth",
         EFFECTS,
-        (cloth_mesh(texture_repeat),),
+        (cloth_mesh(texture_repeat, int(160 * SCALE[size])),),
         radiance,
         _AT_CLOTH,
         "a hanging cloth in constant light",

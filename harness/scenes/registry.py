@@ -2,11 +2,14 @@
 
 A specification is a name, or a mapping::
 
-    {name: studio-sphere, texture_repeat: 3, effects: [environment]}
-    {name: kitchen, file: kitchen.xml, replace_bsdf: table, effects: [environment]}
+    {name: studio-sphere, texture_repeat: 3, size: small, effects: [environment]}
+    {name: with-mis, scene: studio-sphere, effects: [environment, emitter-sampling]}
+    {name: kitchen, file: kitchen.xml, replace_bsdf: table}
+    {file: kitchen.xml, replace_bsdf: {table: tested, cup: suede}, effects: auto}
 
-A named scene takes the keyword arguments of its function in :mod:`harness.scenes.library`.
-Relative files are meant from ``base_dir``, or the working folder.
+A named scene takes the keyword arguments of its function in :mod:`harness.scenes.library`;
+``scene`` says which it is where ``name`` is another, such as one of several that differ in
+their effects. Relative files are meant from ``base_dir``, or the working folder.
 """
 
 from __future__ import annotations
@@ -18,15 +21,15 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from harness import mitsuba_xml
+from harness import effects
+from harness.materials import registry as materials
 from harness.protocol import InputError, nearest
-from harness.scenes import effects, library
+from harness.scenes import library, xml
 from harness.scenes.base import Scene, XmlScene
+from harness.scenes.sizes import SIZES
 from harness.source import covered, digest
 
 Spec = str | Mapping[str, Any]
-
-_XML_KEYS = ("name", "file", "replace_bsdf", "effects")
 
 
 def names() -> list[str]:
@@ -45,42 +48,38 @@ def validate(spec: Spec, base_dir: Path | str | None = None) -> None:
     Raises:
         InputError: with one line that says what is wrong.
     """
-    if _is_xml(spec):
-        _xml_scene(spec, base_dir)
-    else:
-        _arguments(spec)
+    make(spec, base_dir)
 
 
 def identity(spec: Spec, base_dir: Path | str | None = None) -> dict[str, Any]:
     """What determines the scene, as JSON data: contents of files, never their paths."""
-    if _is_xml(spec):
-        scene = _xml_scene(spec, base_dir)
-        return {
-            "type": "xml",
-            "xml": mitsuba_xml.content_hash(scene.file, f"scene '{scene.name}'"),
-            "replace_bsdf": scene.replace_bsdf,
-            "effects": sorted(scene.effects),
-        }
-    name, parameters, wanted = _arguments(spec)
-    return {
+    scene = make(spec, base_dir)
+    if isinstance(scene, XmlScene):
+        return xml.identity(scene, base_dir)
+    _, name, parameters = _arguments(spec)
+    found = {
         "type": "named",
         "name": name,
         "parameters": parameters,
-        "effects": sorted(wanted),
-        "source": digest(covered(Path(library.__file__), "harness.scenes")),
+        "effects": sorted(scene.effects),
+        "source": digest(covered(Path(inspect.getfile(_function(name))), "harness.scenes")),
     }
+    around = {str(shape.material): shape.material for shape in scene.shapes if shape.material}
+    if around:
+        found["materials"] = [materials.identity(around[key]) for key in sorted(around)]
+    return found
 
 
 def make(spec: Spec, base_dir: Path | str | None = None) -> Scene | XmlScene:
     """The scene; :class:`InputError` if the specification is refused."""
-    if _is_xml(spec):
-        return _xml_scene(spec, base_dir)
-    name, parameters, wanted = _arguments(spec)
-    return replace(_function(name)(**parameters), effects=wanted)
-
-
-def _is_xml(spec: Spec) -> bool:
-    return isinstance(spec, Mapping) and ("file" in spec or "replace_bsdf" in spec)
+    if xml.is_xml(spec):
+        return xml.make(spec, base_dir)
+    shown, name, parameters = _arguments(spec)
+    scene = replace(_function(name)(**parameters), name=shown)
+    if isinstance(spec, Mapping) and "effects" in spec:
+        scene = replace(scene, effects=effects.checked(spec["effects"], f"scene '{shown}'"))
+    effects.require_of(scene)
+    return scene
 
 
 def _function(name: str) -> Any:
@@ -89,58 +88,34 @@ def _function(name: str) -> Any:
     return library.SCENES[name]
 
 
-def _arguments(spec: Spec) -> tuple[str, dict[str, float], tuple[str, ...]]:
-    """``(name, all parameters, effects)`` of a named scene's specification."""
+def _arguments(spec: Spec) -> tuple[str, str, dict[str, float | str]]:
+    """``(name to show, name of the scene, all its parameters)`` of a specification."""
     if isinstance(spec, str):
         spec = {"name": spec}
     if not isinstance(spec, Mapping):
         raise InputError(f"scene: expected a name or a mapping, got {spec!r}")
-    name = spec.get("name")
-    if not isinstance(name, str):
-        raise InputError(f"scene: name: expected the name of a scene, got {name!r}")
+    shown = spec.get("name", spec.get("scene"))
+    name = spec.get("scene", shown)
+    for key, value in (("name", shown), ("scene", name)):
+        if not isinstance(value, str):
+            raise InputError(f"scene: {key}: expected the name of a scene, got {value!r}")
     defaults = {k: p.default for k, p in inspect.signature(_function(name)).parameters.items()}
     parameters = dict(defaults)
+    where = f"scene '{shown}'"
     for key, value in spec.items():
-        if key in ("name", "effects"):
+        if key in ("name", "scene", "effects"):
             continue
         if key not in defaults:
-            hint = nearest(str(key), ("effects", "file", "name", "replace_bsdf", *defaults))
-            raise InputError(f"scene '{name}': unknown key '{key}'{hint}")
+            known = ("effects", "file", "name", "replace_bsdf", "scene", *defaults)
+            raise InputError(f"{where}: unknown key '{key}'{nearest(str(key), known)}")
+        if isinstance(defaults[key], str):
+            if value not in SIZES:
+                hint = nearest(str(value), SIZES)
+                raise InputError(f"{where}: {key}: expected a size, got {value!r}{hint}")
+            parameters[key] = value
+            continue
         number = isinstance(value, (int, float)) and not isinstance(value, bool)
         if not (number and math.isfinite(value) and value > 0):
-            raise InputError(f"scene '{name}': {key}: expected a number above 0, got {value!r}")
+            raise InputError(f"{where}: {key}: expected a number above 0, got {value!r}")
         parameters[key] = float(value)
-    wanted = effects.checked(spec.get("effects", library.EFFECTS), f"scene '{name}'")
-    return name, parameters, wanted
-
-
-def _xml_scene(spec: Spec, base_dir: Path | str | None) -> XmlScene:
-    """The user's scene, found to hold the BSDF that is to be replaced."""
-    assert isinstance(spec, Mapping)
-    file = spec.get("file")
-    if not isinstance(file, str) or not file:
-        raise InputError(f"scene: file: expected the name of an XML file, got {file!r}")
-    name = spec.get("name", Path(file).stem)
-    if not isinstance(name, str) or not name:
-        raise InputError(f"scene: name: expected a text, got {name!r}")
-    where = f"scene '{name}'"
-    for key in spec:
-        if key not in _XML_KEYS:
-            raise InputError(f"{where}: unknown key '{key}'{nearest(str(key), _XML_KEYS)}")
-    path = Path(base_dir or "") / file
-    root = mitsuba_xml.read(path, where)
-    if root.tag != "scene":
-        raise InputError(f"{where}: {path}: expected the root <scene>, got <{root.tag}>")
-    replaced, known = spec.get("replace_bsdf"), mitsuba_xml.bsdf_ids(root)
-    if not isinstance(replaced, str):
-        hint = f" (it has {', '.join(known)})" if known else ""
-        raise InputError(
-            f"{where}: replace_bsdf: expected the id of a BSDF of {path}{hint}, got {replaced!r}"
-        )
-    if replaced not in known:
-        hint = nearest(replaced, known) if known else "; none of its BSDFs has an id"
-        raise InputError(f"{where}: {path} has no BSDF of id '{replaced}'{hint}")
-    if root.find("sensor") is None:
-        raise InputError(f"{where}: {path} has no <sensor>")
-    wanted = effects.checked(spec.get("effects", library.EFFECTS), where)
-    return XmlScene(name, path, replaced, wanted, f"'{replaced}' of {path.name}")
+    return shown, name, parameters

@@ -19,8 +19,9 @@ def grid_faces(rows: int, columns: int) -> NDArray[np.uint32]:
     return np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)]).astype(np.uint32)
 
 
-def sphere_mesh(sphere: Sphere, rows: int = 96, columns: int = 192) -> Mesh:
+def sphere_mesh(sphere: Sphere) -> Mesh:
     """``sphere`` as triangles with exact normals and its texture coordinates."""
+    rows, columns = sphere.rows, 2 * sphere.rows
     v, u = np.meshgrid(np.linspace(0, 1, rows + 1), np.linspace(0, 1, columns + 1), indexing="ij")
     phi, theta = 2 * np.pi * u, np.pi * (1 - v)
     n = np.stack(
@@ -41,6 +42,7 @@ def sphere_mesh(sphere: Sphere, rows: int = 96, columns: int = 192) -> Mesh:
         n.astype(np.float32),
         uv.astype(np.float32),
         sphere.tested,
+        sphere.material,
     )
 
 
