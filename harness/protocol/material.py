@@ -44,13 +44,6 @@ class Material(ABC):
     def identity(self) -> dict[str, Any]:
         """What determines the reflectance, as JSON data without absolute paths (for hashes)."""
 
-    def with_effects(self, effects: frozenset[str]) -> Material:
-        """The material that runs only those of its own ``effects``; layout and ``self`` stay.
-
-        Names that are not its own are ignored. A material with effects overrides it.
-        """
-        return self
-
     def places(self, uv: Tensor) -> Tensor:
         """Address and features [N, n_address + n_features] at texture coordinates [N, 2]."""
         if self.n_address + self.n_features:
@@ -68,7 +61,8 @@ class Material(ABC):
     def with_effects(self, effects: frozenset[str]) -> Material:
         """The material that runs only those of its own ``effects``; itself, if it has none.
 
-        Its conditions keep their columns, so that a method fitted to the whole samples it too.
+        Names that are not its own are ignored. Its conditions keep their columns, so that a
+        method fitted to the whole samples it too.
         """
         return self
 
