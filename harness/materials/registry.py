@@ -7,6 +7,7 @@ A specification is a name, or a mapping::
     {name: theirs,    type: mitsuba,  file: scene.xml, id: wood}
     {name: rim-lobe,  type: hard}    # or its name alone: see harness.materials.hard
     {name: polished,  type: family,   family: disney, fix: {roughness: 0.1}}   # or disney alone
+    {name: brushed,   type: family,   family: ggx-conductor, walks: 64}  # f: mean over 64 walks
 
 Relative files are meant from ``base_dir`` (the folder of the suite), or the working folder.
 Neither Mitsuba nor Dr.Jit is loaded before :func:`make`.
@@ -100,7 +101,9 @@ def make(spec: Spec, base_dir: Path | str | None = None) -> Material:
     if _is(spec, "hard"):
         return hard.MATERIALS[spec["name"]].make(spec["name"], what)
     if _is(spec, "family"):
-        return families.FAMILIES[spec["family"]].make(spec["name"], spec.get("fix", {}), what)
+        options = {"walks": spec["walks"]} if "walks" in spec else {}
+        family = families.FAMILIES[spec["family"]]
+        return family.make(spec["name"], spec.get("fix", {}), what, **options)
     # Imported here, for it loads Mitsuba.
     from harness.materials.mitsuba_bsdf import MitsubaMaterial
 
@@ -212,10 +215,10 @@ class _Hard:
 
 
 class _Family:
-    """``{name, type: family, family, fix}``: the free parameters become features."""
+    """``{name, type: family, family, fix, walks}``: the free parameters become features."""
 
     def validate(self, spec: Mapping[str, Any], base: Path) -> None:
-        _only(spec, ("family", "fix"))
+        _only(spec, ("family", "fix", "walks"))
         family, known = spec.get("family"), families.FAMILIES
         if family not in known:
             hint = nearest(str(family), known)
@@ -224,12 +227,21 @@ class _Family:
         if not isinstance(fix, Mapping):
             raise InputError(f"{_where(spec)}: fix: expected a mapping, got {fix!r}")
         known[family].check(fix, _where(spec))
+        if "walks" not in spec:
+            return
+        if not known[family].by_walks:
+            raise InputError(f"{_where(spec)}: walks: family '{family}' is in closed form")
+        walks = spec["walks"]
+        if not isinstance(walks, int) or isinstance(walks, bool) or walks < 1:
+            where = f"{_where(spec)}: walks"
+            raise InputError(f"{where}: expected a whole number from 1, got {walks!r}")
 
     def identity(self, spec: Mapping[str, Any], base: Path) -> dict[str, Any]:
         family = spec["family"]
         source = digest(covered(families.FAMILIES[family].file, families.PACKAGE))
         fix = {key: float(value) for key, value in spec.get("fix", {}).items()}
-        return {"type": "family", "family": family, "fix": fix, "source": source}
+        walks = {"walks": spec["walks"]} if "walks" in spec else {}
+        return {"type": "family", "family": family, "fix": fix, **walks, "source": source}
 
 
 KINDS: dict[str, Any] = {

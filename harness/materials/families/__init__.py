@@ -24,6 +24,8 @@ class Described:
     module: str
     class_name: str
     model: parameters.Model
+    by_walks: bool = False
+    """Whether f is a mean over random walks, whose number may be given."""
 
     @property
     def file(self) -> Path:
@@ -34,14 +36,16 @@ class Described:
         """Refuse values for what is no parameter of the model, or out of its bounds."""
         parameters.check(self.model, fix, where)
 
-    def make(self, name: str, fix: Mapping[str, float], identity: dict[str, Any]) -> Any:
-        """The :class:`~harness.materials.families.base.Family`.
+    def make(
+        self, name: str, fix: Mapping[str, float], identity: dict[str, Any], **options: Any
+    ) -> Any:
+        """The :class:`~harness.materials.families.base.Family`; ``options`` as it takes them.
 
         Raises:
             InputError: ``fix`` names no parameter of the model, or is out of its bounds.
         """
         module = importlib.import_module(f"{PACKAGE}.{self.module}")
-        return getattr(module, self.class_name)(name, fix, identity)
+        return getattr(module, self.class_name)(name, fix, identity, **options)
 
 
 FAMILIES: dict[str, Described] = {
@@ -50,5 +54,12 @@ FAMILIES: dict[str, Described] = {
         "disney",
         "Disney",
         parameters.DISNEY,
+    ),
+    "ggx-conductor": Described(
+        "multiple-bounce GGX conductor over roughness and colour, by random walks",
+        "conductor",
+        "Conductor",
+        parameters.GGX_CONDUCTOR,
+        by_walks=True,
     ),
 }

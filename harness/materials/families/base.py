@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from abc import abstractmethod
 from collections.abc import Mapping
 from typing import Any, ClassVar
@@ -26,7 +27,8 @@ class Family(Material):
     """A parametric BSDF; condition ``[free parameters, wi.xy]``, no address.
 
     ``model`` are all parameters of the model in their order, ``fixed`` those that have one
-    value here, ``parameters`` the others, which are the features of the condition.
+    value here, ``parameters`` the others, which are the features of the condition; ``off``
+    are those of its effects that it does without.
 
     A subclass gives :meth:`eval_columns`. Where it has a sampler of its own it also gives
     ``native_sample_columns`` and ``native_pdf_columns``, as ``methods/native.py`` uses them.
@@ -42,13 +44,20 @@ class Family(Material):
     def __init__(self, name: str, fix: Mapping[str, float], identity: dict[str, Any]):
         check(self.model, fix, f"material '{name}'")
         self.name, self._identity = name, identity
+        self.off: frozenset[str] = frozenset()
         self.fixed = {key: float(value) for key, value in fix.items()}
         self.parameters = tuple(p for p in self.model if p.name not in fix)
         self.n_features = len(self.parameters)
 
     def identity(self) -> dict[str, Any]:
         """See :meth:`Material.identity`."""
-        return self._identity
+        return {**self._identity, **({"without": sorted(self.off)} if self.off else {})}
+
+    def with_effects(self, effects: frozenset[str]) -> Family:
+        """See :meth:`Material.with_effects`."""
+        other = copy.copy(self)
+        other.off = self.effects - effects
+        return other
 
     # --- conditions --------------------------------------------------------------------
 

@@ -34,6 +34,14 @@ def generator_at(columns: Columns, seed: int) -> Any:
     return generator
 
 
+def exponential(rng: Any) -> Any:
+    """One exponentially distributed number of mean one per lane, never zero.
+
+    From the centres of the 2^23 intervals, so that no logarithm is zero or infinite.
+    """
+    return -dr.log(rng.next_float32() + 2.0**-24)
+
+
 def _mix(x: Any) -> Any:
     """A bijection of 32 bits in which every input bit reaches every output bit.
 

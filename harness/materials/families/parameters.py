@@ -59,3 +59,12 @@ DISNEY: Model = (
     # Mitsuba's least alpha is 0.001, roughness 0.0316; below it nothing changes.
     Parameter("roughness", 0.1, 1.0, 0.0, 1.0, about="square root of GGX's alpha"),
 )
+
+_ALPHA = {"low": 0.01, "high": 1.0, "least": 1e-4, "most": 2.0, "squared": True}
+_SHARE = {"low": 0.0, "high": 1.0, "least": 0.0, "most": 1.0}
+
+GGX_CONDUCTOR: Model = (
+    Parameter("alpha_x", **_ALPHA, about="GGX's roughness along x"),
+    Parameter("alpha_y", **_ALPHA, about="GGX's roughness along y"),
+    *(Parameter(f"r0_{k}", **_SHARE, about="reflectance at normal incidence") for k in "rgb"),
+)
