@@ -12,15 +12,13 @@ import torch
 from torch import Tensor
 
 from harness.columns.bridge import Columns, Float, columns_of, tensor_of
-from harness.materials.families.hashing import generator_at
 from harness.materials.families.parameters import Parameter, check
+from harness.materials.families.slices import slices
 from harness.protocol import Material, square_to_disk
 from harness.protocol.disk import REC709
 
 SWATCHES = 8
 """Tiles per side of the board on which a family of more than two free parameters is laid out."""
-LANES = 1 << 22
-"""Points of a slice that are evaluated at once: 16 MB a column."""
 
 
 class Family(Material):
@@ -30,15 +28,12 @@ class Family(Material):
     value here, ``parameters`` the others, which are the features of the condition; ``off``
     are those of its effects that it does without.
 
-    A subclass gives :meth:`eval_columns`. Where it has a sampler of its own it also gives
-    ``native_sample_columns`` and ``native_pdf_columns``, as ``methods/native.py`` uses them.
+    A subclass gives :meth:`eval_columns` and the sampler that the model brings along, which
+    ``methods/native.py`` uses.
     """
 
     family: ClassVar[str]
     model: ClassVar[tuple[Parameter, ...]]
-    samples: ClassVar[int] = 4
-    """Strata per side of a cell in which :meth:`slices` evaluates f."""
-
     n_address = 0
 
     def __init__(self, name: str, fix: Mapping[str, float], identity: dict[str, Any]):
@@ -135,39 +130,23 @@ class Family(Material):
             f = self.eval_columns(wide, [dr.gather(array, v, point) for v in points])
             return tensor_of(dr.abs(_luminance(f)), rows=n * m).view(n, m)
 
-    def slices(self, condition: Tensor, resolution: int, seed: int) -> Tensor:
-        r"""Mean of f over the cells of a grid on the disk's square: rgb [N, R, R, 3].
+    @abstractmethod
+    def native_sample_columns(self, c: Columns, u: Columns) -> tuple[Float, Float, Float]:
+        """A sampler of the model's own: ``(x, y, pdf)`` per disk area, from three uniforms.
 
-        The R x R cells divide [-1, 1]^2; row = y, column = x, from -1 up. f is zero outside
-        the disk, so a cell that the rim cuts has the mean of a part. Each cell is evaluated at
-        ``samples``^2 jittered points, hence
-
-        .. math:: \sum_{cells} f\,(2/R)^2 \approx \int f\,dA,
-
-        which is the directional albedo. ``seed`` chooses the points (and the walks, where
-        there are any); a row's slice does not depend on the other rows of the call.
+        Its density is known exactly, and positive wherever f is. Invalid samples lie off the disk.
         """
-        n, cells, count = len(condition), resolution * resolution, self.samples**2
-        found = condition.new_empty(n * cells, 3)
-        if found.numel() == 0:
-            return found.view(n, resolution, resolution, 3)
-        with torch.inference_mode():
-            c = columns_of(condition)
-            array = type(c[0])
-            unsigned = dr.uint32_array_t(array)
-            step = max(1, LANES // count)
-            for start in range(0, n * cells, step):
-                stop = min(start + step, n * cells)
-                lane = dr.arange(unsigned, (stop - start) * count)
-                # Opaque, so that the next chunk finds the kernel compiled.
-                index, stratum = dr.opaque(unsigned, start) + lane // count, lane % count
-                row, cell = index // cells, index % cells
-                wide = [dr.gather(array, column, row) for column in c]
-                points = _points(array, cell, stratum, resolution, self.samples, seed)
-                f = self.eval_columns(wide, points, seed)
-                mean = [dr.block_reduce(dr.ReduceOp.Add, v, count) / count for v in f]
-                found[start:stop] = tensor_of(*mean, rows=stop - start)
-        return found.view(n, resolution, resolution, 3)
+
+    @abstractmethod
+    def native_pdf_columns(self, c: Columns, wo: Columns) -> Float:
+        """Density per disk area of :meth:`native_sample_columns`."""
+
+    def slices(self, condition: Tensor, resolution: int, seed: int) -> Tensor:
+        """Mean of f over the cells of a grid on the disk's square: rgb [N, R, R, 3].
+
+        See :func:`harness.materials.families.slices.slices`.
+        """
+        return slices(self, condition, resolution, seed)
 
     def _board(self) -> Tensor:
         """Parameters [SWATCHES^2, P] of the tiles."""
@@ -184,17 +163,6 @@ def _tile(uv: Tensor) -> Tensor:
     """Which tile [N] of the board; it repeats beyond the unit square."""
     column, row = (uv.remainder(1) * SWATCHES).long().clamp(max=SWATCHES - 1).unbind(1)
     return row * SWATCHES + column
-
-
-def _points(
-    array: Any, cell: Any, stratum: Any, resolution: int, samples: int, seed: int
-) -> Columns:
-    """One jittered point [x, y] in each stratum of a cell, on [-1, 1]^2."""
-    rng = generator_at([array(cell), array(stratum)], seed)
-    side = 2 / (resolution * samples)
-    x = (cell % resolution) * samples + stratum % samples
-    y = (cell // resolution) * samples + stratum // samples
-    return [dr.fma(array(v) + rng.next_float32(), side, -1) for v in (x, y)]
 
 
 def _luminance(rgb: Any) -> Float:
