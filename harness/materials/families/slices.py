@@ -1,9 +1,10 @@
 r"""Slices of a family: f of one condition on a Cartesian grid over the disk.
 
-A cell's mean is estimated from two sets of points: some in every cell, and some that the
-model's own sampler draws, which find a lobe narrower than a cell. Both count with the balance
-heuristic: a point contributes :math:`f / (n_1 p_1 + n_2 p_2)` to its cell's integral, with
-:math:`n p` the expected number of points of a set per area.
+A cell's mean is estimated from stratified points in every cell. Where the density of the
+model's own sampler says that a lobe is narrower than a few strata, points which that sampler
+draws join them, by the balance heuristic: a point contributes :math:`f / (n_1 p_1 + n_2 p_2)`
+to its cell's integral, with :math:`n p` the expected number of points of a set per area.
+Elsewhere strata alone are better, for the number of drawn points in a cell is random.
 """
 
 from __future__ import annotations
@@ -20,10 +21,13 @@ from harness.materials.families.hashing import generator_at
 if TYPE_CHECKING:
     from harness.materials.families.base import Family
 
-STRATA = 3
+STRATA = 4
 """Strata per side of a cell, each with one point."""
-DRAWN = 7
+DRAWN = 3
 """Points per cell, on average over the grid, from the model's own sampler."""
+NARROW = 0.01
+"""Density times the area of a stratum from which a lobe is narrow: its width is then about
+six strata, and thousands of drawn points fall into a cell of 128 x 128."""
 LANES = 1 << 22
 """Points that are evaluated at once: 16 MB a column."""
 
@@ -56,10 +60,14 @@ def slices(family: Family, condition: Tensor, resolution: int, seed: int) -> Ten
                 wide = [dr.gather(type(column), column, row) for column in c]
                 wo = points(family, wide, place, resolution, seed)
                 drawn = family.native_pdf_columns(wide, wo)
-                density = 0.25 * STRATA**2 * cells + DRAWN * cells * drawn
+                even = 0.25 * STRATA**2 * cells
+                narrow = drawn > NARROW * even
+                weight = 1 / (even + dr.select(narrow, DRAWN * cells * drawn, 0))
                 f = family.eval_columns(wide, wo, seed)
+                if points is _drawn:
+                    weight = dr.select(narrow, weight, 0)
                 cell = row * cells + _cell(wo, resolution)
-                _add(total, cell, [v / density for v in f], stop - start)
+                _add(total, cell, [v * weight for v in f], stop - start)
     return (total * (0.25 * cells)).to(condition.dtype).view(n, resolution, resolution, 3)
 
 
