@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 import time
 from collections import OrderedDict
@@ -122,11 +123,24 @@ _cache: OrderedDict = OrderedDict()
 def cells(resolution: int, jitter: Tensor | None = None, device: str = "cpu") -> Tensor:
     """One point per equal-area cell, [R*R, 2] (or [B, R*R, 2] for ``jitter`` of that shape).
 
-    ``jitter`` in [0, 1)^2 places the point in its cell; its centre by default.
+    ``jitter`` in [0, 1)^2 places the point in its cell; its centre by default, and then the
+    tensor is shared and not to be written to.
     """
+    if jitter is None:
+        return _centres(resolution, torch.device(device))
+    return square_to_disk((_corners(resolution, device) + jitter) / resolution)
+
+
+def _corners(resolution: int, device: torch.device | str) -> Tensor:
     index = torch.arange(resolution, device=device, dtype=torch.float32)
-    corner = torch.stack(torch.meshgrid(index, index, indexing="ij"), -1).reshape(-1, 2)
-    return square_to_disk((corner + (0.5 if jitter is None else jitter)) / resolution)
+    return torch.stack(torch.meshgrid(index, index, indexing="ij"), -1).reshape(-1, 2)
+
+
+@functools.lru_cache(maxsize=2)
+def _centres(resolution: int, device: torch.device) -> Tensor:
+    """Of every cell; kept, for at 2048 a side they take longer than most materials."""
+    with torch.inference_mode(False):
+        return square_to_disk((_corners(resolution, device) + 0.5) / resolution)
 
 
 def tabulate(
