@@ -169,10 +169,11 @@ def parse(data: Any) -> Description:
     """A checked description from data as YAML gives it; :class:`InputError` if refused."""
     if not isinstance(data, dict):
         raise InputError("expected a mapping with the keys name, about, fields, colour, ...")
+    _refuse_split_text(data, "")
     try:
         description = Description.model_validate(data)
     except ValidationError as error:
-        raise InputError(refusal(Description, error)) from None
+        raise InputError(refusal(Description, error).replace("Value error, ", "")) from None
     description.check()
     return description
 
@@ -186,6 +187,21 @@ def read(path: Path) -> Description:
         return parse(data)
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
+
+
+def _refuse_split_text(node: Any, where: str) -> None:
+    """In ``{by: mix(0, 1, t)}`` YAML reads three entries; say so."""
+    if isinstance(node, dict):
+        for key, value in node.items():
+            if not isinstance(key, str) or (value is None and ")" in key):
+                raise InputError(
+                    f"{where}: unexpected '{key}'; a comma ends an entry within {{ }},"
+                    " so an expression with commas needs quotes there"
+                )
+            _refuse_split_text(value, f"{where}.{key}" if where else key)
+    elif isinstance(node, list):
+        for index, value in enumerate(node):
+            _refuse_split_text(value, f"{where}[{index}]")
 
 
 def _parsed(where: str, text: Text, known: list[str]) -> Expression:

@@ -66,7 +66,7 @@ class Expression:
     def _check(self, node: ast.AST, known: Collection[str]) -> Any:
         """Refuses ``node`` if it means nothing; gives the type of a call that has parts."""
         match node:
-            case ast.Constant(value=int() | float() | str()):
+            case ast.Constant(value=int() | float() | str() as value) if type(value) is not bool:
                 return None
             case ast.Name(id=name):
                 if name not in known:

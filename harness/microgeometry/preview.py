@@ -163,6 +163,22 @@ def studio(direction: Tensor) -> Tensor:
     return above + left + right + roof
 
 
+def _towards_lobe(wi: Tensor, generator: torch.Generator) -> tuple[Tensor, Tensor]:
+    """Directions [N, 2] and their density [N] on the disk; a density of 0 marks those off it.
+
+    Half are uniform, half normal around the mirror direction, where most light comes from.
+    """
+    n, sigma = len(wi), 0.3
+    random = torch.rand(3, n, generator=generator)
+    turn = 2 * math.pi * random[1]
+    uniform = random[0].sqrt()[:, None] * torch.stack([turn.cos(), turn.sin()], 1)
+    lobe = sigma * torch.randn(n, 2, generator=generator) - wi
+    wo = torch.where(random[2:].T < 0.5, uniform, lobe)
+    near = torch.exp(-0.5 * ((wo + wi) / sigma).square().sum(1)) / (2 * math.pi * sigma**2)
+    density = 0.5 / math.pi + 0.5 * near
+    return wo, torch.where(wo.square().sum(1) < 1, density, torch.zeros_like(density))
+
+
 def _lit(
     u: Tensor,
     footprint: Tensor,
@@ -185,13 +201,11 @@ def _lit(
     irradiance = math.pi * to_light[:, 2].clamp(min=0) / repeats
     parts = [(pixel[lit], to_light[lit, :2], irradiance[lit]) for _ in range(repeats)]
     for _ in range(repeats if dome > 0 else 0):
-        # Uniform on the disk: f times cosine over the hemisphere is pi times the mean of f.
-        radius, turn = torch.rand(2, n, generator=generator)
-        turn = 2 * math.pi * turn
-        radius = radius.sqrt() * (1 - 1e-6)
-        wo = torch.stack([radius * turn.cos(), radius * turn.sin()], 1)
-        world = (to_direction(wo)[:, None] @ local)[:, 0]
-        parts.append((pixel, wo, dome * math.pi / repeats * studio(world)))
+        wo, density = _towards_lobe(wi, generator)
+        on = density > 0
+        world = (to_direction(wo[on])[:, None] @ local[on])[:, 0]
+        # On the disk, f times cosine over the hemisphere is the integral of f.
+        parts.append((pixel[on], wo[on], dome / repeats * studio(world) / density[on]))
     index, wo, weight = (torch.cat(x) for x in zip(*parts, strict=True))
     return Shots(
         index,
