@@ -10,6 +10,7 @@ import pytest
 from harness.protocol import InputError
 from harness.scenes import Mesh, Scene, Sphere, XmlScene, environment, registry
 from harness.scenes.shapes import cloth_mesh, sphere_mesh
+from harness.scenes.solids import box, panel, ring, runner, turned
 
 XML = """<scene version="3.0.0">
   <sensor type="perspective"/>
@@ -63,11 +64,89 @@ def test_cloth_mesh_faces_its_camera():
 def test_named_scene(name):
     scene = registry.make(name)
     assert isinstance(scene, Scene) and scene.name == name
-    assert scene.effects == ("environment",)
+    simple = name not in ("shelf", "table-still-life")
+    assert (scene.effects == ("environment",)) == simple
     assert any(shape.tested for shape in scene.shapes)
     assert registry.describe(name) and "\n" not in registry.describe(name)
     json.dumps(registry.identity(name))
     assert registry.identity(name) == registry.identity({"name": name})
+
+
+@pytest.mark.parametrize("name", registry.names())
+def test_three_sizes(name):
+    """The finer, the more triangles or texels; the framing, the lamps and the materials stay."""
+    small, medium, large = (
+        registry.make({"name": name, "size": s}) for s in ("small", "medium", "large")
+    )
+    counts = [_faces(scene) for scene in (small, medium, large)]
+    assert counts[0] < counts[1] < counts[2]
+    assert small.camera == medium.camera == large.camera and small.lamps == large.lamps
+    assert [s.material for s in small.shapes] == [s.material for s in large.shapes]
+    assert registry.identity({"name": name, "size": "medium"}) == registry.identity(name)
+
+
+@pytest.mark.parametrize("name", ["shelf", "table-still-life"])
+def test_solids_are_wound_outwards(name):
+    """Every shape of the larger scenes; those of several patches or folds too."""
+    scene = registry.make({"name": name, "size": "small"})
+    assert {s.material for s in scene.shapes if isinstance(s.material, str)} >= {"star-tiles"}
+    assert 1 < sum(shape.tested for shape in scene.shapes) < len(scene.shapes) / 2
+    for shape in scene.shapes:
+        check_mesh(sphere_mesh(shape) if isinstance(shape, Sphere) else shape)
+    found = registry.identity(name)
+    assert len(found["materials"]) > 5 and all(
+        "source" in m or "bsdf" in m for m in found["materials"]
+    )
+
+
+def test_lathe():
+    """A straight profile gives a cylinder: its area, and normals that point away from the axis."""
+    mesh = turned([(2.0, 0.0), (2.0, 1.5), (2.0, 3.0)], (1.0, 2.0, 3.0), repeat=2.0)
+    check_mesh(mesh)
+    assert _area(mesh) == pytest.approx(2 * np.pi * 2 * 3, rel=1e-3)
+    out = mesh.vertices - np.array([1.0, 0.0, 3.0])
+    np.testing.assert_allclose(mesh.normals[:, [0, 2]], out[:, [0, 2]] / 2, atol=1e-5)
+    assert mesh.vertices[:, 1].min() == 2 and mesh.vertices[:, 1].max() == 5
+    # Copies of the texture around are whole, so that no seam shows; along, as many as said.
+    assert np.ptp(mesh.uv, axis=0) == pytest.approx([round(8 * np.pi), 6], rel=1e-3)
+
+
+def test_box_and_ring():
+    """Areas known: six faces with round edges between them, and a torus."""
+    edge, size = 0.1, np.array([1.0, 2.0, 3.0])
+    mesh = box(size, (5.0, 0.0, 0.0), edge, turn=30.0, lean=20.0, detail=3.0)
+    check_mesh(mesh)
+    a, b, c = size - 2 * edge
+    flat, edges = 2 * (a * b + b * c + c * a), 2 * np.pi * edge * (a + b + c)
+    assert _area(mesh) == pytest.approx(flat + edges + 4 * np.pi * edge**2, rel=1e-3)
+    assert mesh.vertices.mean(0) == pytest.approx([5, 0, 0], abs=1e-3)
+    torus = ring(1.0, 0.25, (0, 0, 0), tilt=50.0, detail=2.0)
+    check_mesh(torus)
+    assert _area(torus) == pytest.approx(4 * np.pi**2 * 0.25, rel=2e-3)
+
+
+def test_panel_and_runner():
+    wall = panel((0, 0, 0), (2, 0, 0), (0, 3, 0), repeat=2.0)
+    check_mesh(wall)
+    assert wall.normals[0] == pytest.approx([0, 0, 1]) and wall.uv.max(0) == pytest.approx([4, 6])
+    cloth = runner(2.0, -1.0, 1.0, 0.8, repeat=1.0)
+    check_mesh(cloth)
+    # It lies on the table, does not cut it, and hangs down in front.
+    on_table = cloth.vertices[:, 2] < 1.0
+    assert cloth.vertices[on_table & (cloth.vertices[:, 1] > -0.05), 1].min() >= 0.0
+    assert cloth.vertices[:, 1].min() == pytest.approx(-0.8 - 0.1, abs=0.05)
+
+
+def _faces(scene: Scene) -> int:
+    """Triangles, and texels of the environment."""
+    made = (sphere_mesh(s) if isinstance(s, Sphere) else s for s in scene.shapes)
+    return sum(len(mesh.faces) for mesh in made) + np.size(scene.environment)
+
+
+def _area(mesh: Mesh) -> float:
+    corners = mesh.vertices[mesh.faces].astype(float)
+    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    return float(np.linalg.norm(cross, axis=1).sum() / 2)
 
 
 def test_studio_light():

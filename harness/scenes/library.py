@@ -7,7 +7,9 @@ from collections.abc import Callable
 from harness.scenes.base import Camera, Scene, Sphere
 from harness.scenes.environment import open_shade, studio
 from harness.scenes.shapes import cloth_mesh
+from harness.scenes.shelf import shelf
 from harness.scenes.sizes import SCALE, Size
+from harness.scenes.still_life import table_still_life
 
 EFFECTS = ("environment",)
 
@@ -83,4 +85,6 @@ SCENES: dict[str, Callable[..., Scene]] = {
     "studio-sphere": studio_sphere,
     "draped-cloth": draped_cloth,
     "uniform-cloth": uniform_cloth,
+    "shelf": shelf,
+    "table-still-life": table_still_life,
 }
