@@ -398,6 +398,18 @@ def test_quadrature(density: Callable[[Tensor], Tensor], truth: float) -> None:
     assert masses.total == pytest.approx(truth, abs=5 * masses.error + 1e-4)
 
 
+@pytest.mark.parametrize("n", [0, 1, 500])
+def test_hints_in_cells(n: int) -> None:
+    """Count and maximum for each cell, against a search point by point."""
+    rng = np.random.default_rng(3)
+    points, density = rng.random((n, 2)) ** 3, rng.random(n)
+    cells = Cells.uniform(2).refined(points, 20)
+    hints, owner = Hints(points, density), cells.find(points)
+    assert (hints.count(cells) == cells.count(points)).all()
+    expected = [density[owner == k].max(initial=0.0) for k in range(len(cells))]
+    assert (hints.highest(cells) == expected).all()
+
+
 # --- the plan and the command --------------------------------------------------------------------
 
 

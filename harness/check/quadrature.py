@@ -17,6 +17,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import torch
@@ -24,7 +25,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from harness.protocol import cos_theta, disk_to_square, square_to_disk
-from harness.stats.cells import DEPTH, Cells
+from harness.stats.cells import DEPTH, Cells, morton
 
 POINTS = 8
 """Points per cell: two in each quarter."""
@@ -99,11 +100,28 @@ class Hints:
     points: NDArray
     density: NDArray
 
+    def count(self, cells: Cells) -> NDArray:
+        """Number of hints in each of ``cells``, which cover the square."""
+        return np.diff(self._begin(cells), append=len(self.points))
+
     def highest(self, cells: Cells) -> NDArray:
-        """Largest density of a hint in each cell; 0 without one."""
-        found = np.zeros(len(cells))
-        np.maximum.at(found, cells.find(self.points), self.density)
+        """Largest density of a hint in each of ``cells``, which cover the square; 0 without one."""
+        found, full = np.zeros(len(cells)), self.count(cells) > 0
+        if full.any():
+            # Cells without hints end where they begin, so the next full one ends a segment.
+            found[full] = np.maximum.reduceat(self._sorted[1], self._begin(cells)[full])
         return found
+
+    @cached_property
+    def _sorted(self) -> tuple[NDArray, NDArray]:
+        """Codes and densities in the order of the codes: sorted once, looked up in every round."""
+        codes = morton(self.points)
+        order = np.argsort(codes)
+        return codes[order], self.density[order]
+
+    def _begin(self, cells: Cells) -> NDArray:
+        """How many hints come before each cell."""
+        return np.searchsorted(self._sorted[0], cells.start)
 
 
 def integrate(
@@ -170,7 +188,7 @@ def _doubt(masses: Masses, hints: Hints) -> NDArray:
     """
     n = len(hints.points)
     expected = n * masses.mass
-    count = masses.cells.count(hints.points)
+    count = hints.count(masses.cells)
     noise = n * np.sqrt(masses.variance)
     order = np.argsort(-masses.variance)
     left = masses.variance.sum() - np.cumsum(masses.variance[order])

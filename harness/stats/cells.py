@@ -38,7 +38,7 @@ class Cells:
 
         Cells of the finest side are not split further.
         """
-        codes = np.sort(_morton(points))
+        codes = np.sort(morton(points))
         cells = self
         while True:
             ends = np.append(cells.start[1:], np.int64(1) << (2 * DEPTH))
@@ -60,7 +60,7 @@ class Cells:
 
     def find(self, points: NDArray) -> NDArray:
         """Index of the cell of each of ``points`` [N, 2] in [0, 1]^2."""
-        return np.searchsorted(self.start, _morton(points), side="right") - 1
+        return np.searchsorted(self.start, morton(points), side="right") - 1
 
     def count(self, points: NDArray) -> NDArray:
         """Number of ``points`` [N, 2] in each cell."""
@@ -82,8 +82,8 @@ class Cells:
         return 2.0**-self.level
 
 
-def _morton(points: NDArray) -> NDArray:
-    """Interleaved bits of the coordinates, x lowest."""
+def morton(points: NDArray) -> NDArray:
+    """Morton codes [N] of ``points`` [N, 2]: interleaved bits of the coordinates, x lowest."""
     # The closed upper edge belongs to the last cell.
     grid = np.minimum((points * 2.0**DEPTH).astype(np.int64), (1 << DEPTH) - 1)
     return _spread(grid[:, 0]) | (_spread(grid[:, 1]) << 1)
