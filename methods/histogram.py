@@ -41,14 +41,13 @@ class Cells(nn.Module):
     def mass(self, condition: Tensor) -> Tensor:
         """Unnormalised masses [N, R (y), R (x)] that samples are drawn from.
 
-        Of one condition N times the network runs once: whoever integrates asks so.
+        [1, R, R] for one condition N times, with which whoever integrates asks.
         """
-        rows = len(condition)
-        if rows > 1 and bool((condition == condition[:1]).all()):
+        if len(condition) > 1 and bool((condition == condition[:1]).all()):
             condition = condition[:1]
         whole = nn.functional.softplus(self.net(condition))
         mass = torch.addcmul(self.floor * self.root, whole, self.root)
-        return mass.unflatten(-1, (self.resolution, -1)).expand(rows, -1, -1)
+        return mass.unflatten(-1, (self.resolution, -1))
 
 
 class Histogram(ModuleMethod):
@@ -116,6 +115,7 @@ class Histogram(ModuleMethod):
         """Log density [B, D] at ``wo`` [B, D, 2] of the square."""
         mass = self.module.mass(condition)
         total = mass.sum((1, 2))[:, None] * (2 / self.resolution) ** 2
+        mass = mass.expand(len(condition), -1, -1)
         return (mass.flatten(1).gather(1, self._cell(wo)[0]) / total).log()
 
     def loss(self, targets: Targets, budget: Budget, generator: torch.Generator) -> Tensor:
@@ -143,8 +143,7 @@ class Histogram(ModuleMethod):
         with torch.inference_mode():
             chunk = _CHUNK.get(condition.device.type, _CHUNK_ELSEWHERE)
             for rows, v in zip(split_rows(condition, chunk), split_rows(u, chunk), strict=True):
-                mass = self.module.mass(rows)
-                row_sums = mass.sum(2)
+                mass, row_sums = self._masses(rows)
                 row, y = _pick(row_sums, v[:, 0])
                 cells = mass.gather(1, row[:, None, None].expand(-1, 1, n))[:, 0]
                 column, x = _pick(cells, v[:, 1])
@@ -163,10 +162,15 @@ class Histogram(ModuleMethod):
         with torch.inference_mode():
             chunk = _CHUNK.get(condition.device.type, _CHUNK_ELSEWHERE)
             for rows, at in zip(split_rows(condition, chunk), split_rows(wo, chunk), strict=True):
-                mass = self.module.mass(rows)
-                pdf[start : start + len(rows)] = self._density(mass, mass.sum(2), at)
+                pdf[start : start + len(rows)] = self._density(*self._masses(rows), at)
                 start += len(rows)
         return pdf
+
+    def _masses(self, condition: Tensor) -> tuple[Tensor, Tensor]:
+        """:meth:`Cells.mass` [N, R, R], and its sums over the columns [N, R]."""
+        mass = self.module.mass(condition)
+        n, row_sums = len(condition), mass.sum(2)
+        return mass.expand(n, -1, -1), row_sums.expand(n, -1)
 
     def _density(self, mass: Tensor, row_sums: Tensor, wo: Tensor) -> Tensor:
         cell, outside = self._cell(wo)
