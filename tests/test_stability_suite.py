@@ -26,7 +26,7 @@ from harness.measures import registry as measures
 from harness.measures import stability
 from harness.measures.base import Outcome, Record
 from harness.protocol import Budget, InputError, Unsupported
-from harness.report import make, print_tables
+from harness.report import make, print_tables, verdicts
 from harness.report.figures import FIGURES, Canvas
 from harness.report.figures.heatmap import _FACE
 from harness.report.formats.csv import csv as as_csv
@@ -318,6 +318,13 @@ def test_rows_are_cases_in_the_order_and_groups_of_the_catalogue(folder: Path):
         # No method has a trial, so that the material's cases are not known.
         ("cases unknown", ["constant"]),
     ]
+
+
+def test_a_refused_state_has_its_share_in_the_cell():
+    entry = verdicts._entry(
+        {"verdict": "degraded", "findings": [said("state", "degraded", 0.0012)]}
+    )
+    assert (entry.verdict, entry.short) == ("degraded", "refused 0.12 %")
 
 
 def test_cells_tell_pass_degraded_fail_and_no_answer(folder: Path):
