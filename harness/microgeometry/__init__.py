@@ -26,7 +26,7 @@ def find(name: str | Path) -> Path:
     bare = DESCRIPTIONS / f"{name}.yaml"
     if path.name == str(name) and bare.is_file():
         return bare
-    beside = [item.name for item in path.parent.glob("*.yaml")] if path.suffix else names()
+    beside = [item.name for item in path.parent.glob(f"*{path.suffix}")] if path.suffix else names()
     raise InputError(f"no such description: {name}{nearest(path.name, beside)}")
 
 
@@ -34,7 +34,8 @@ def load(path: str | Path, resolution: int | None = None) -> Any:
     """The surface of a description (its file, or its name) on ``resolution``^2 texels.
 
     ``resolution`` is a multiple of 4; None takes the description's own. Nothing is loaded
-    of Mitsuba before the first query.
+    of Mitsuba before the first query. A ``.btf`` file gives a
+    :class:`~harness.microgeometry.measured.MeasuredSurface`, which answers the same queries.
 
     Raises:
         InputError: one line that names the file, the key, what was expected and, for an
@@ -43,6 +44,12 @@ def load(path: str | Path, resolution: int | None = None) -> Any:
     from harness.microgeometry.description import read
 
     file = find(path)
+    if file.suffix == ".btf":
+        from harness.microgeometry.measured import MeasuredSurface
+
+        if resolution is not None:
+            raise InputError(f"{file}: measured at its own resolution; expected no 'resolution'")
+        return MeasuredSurface(file)
     if resolution is not None and (resolution < 16 or resolution % 4):
         raise InputError(f"resolution: expected a multiple of 4 from 16 on, got {resolution}")
     description = read(file)
