@@ -10,10 +10,11 @@ import pytest
 import torch
 
 from harness import microgeometry
+from harness.materials import registry
 from harness.microgeometry.btf_file import COLOUR_MODELS, EPSILON, read
 from harness.microgeometry.measured import Directions
 from harness.microgeometry.queries import draw, truth
-from harness.protocol import InputError
+from harness.protocol import InputError, square_to_disk
 
 WIDTH, HEIGHT = 6, 4
 
@@ -226,3 +227,35 @@ def test_directions_on_one_side_are_refused(tmp_path):
     path.write_bytes(data + b"".join(factored(values[..., c]) for c in range(3)))
     with pytest.raises(InputError, match="lights: expected directions all around the normal"):
         microgeometry.load(path)
+
+
+# --- as a material ---------------------------------------------------------------------
+
+
+def test_it_is_a_material_of_a_suite(tmp_path):
+    """Addressed by uv, seen by its leading factors; its density is drawn from as any other's."""
+    dfmf(tmp_path / "carpet.btf", random_values())
+    spec = {"name": "carpet", "type": "btf", "file": "carpet.btf"}
+    material = registry.make(spec, tmp_path)
+    assert (material.n_address, material.n_features) == (2, 8)
+    condition = material.conditions(50, torch.Generator().manual_seed(0))
+    wo = square_to_disk(torch.rand(50, 2, generator=torch.Generator().manual_seed(1)))
+    expected = truth(
+        material.surface, condition[:, :2], torch.zeros(50), condition[:, -2:], wo, 1, 0
+    )
+    assert torch.equal(material.eval(condition, wo), expected)
+    assert (material.eval(condition, wo / wo.norm(dim=1, keepdim=True) * 1.01) == 0).all()
+    table = material.places(texel_centres())[:, 2:]
+    torch.testing.assert_close(table.mean(0), torch.zeros(8), rtol=0, atol=1e-5)
+    assert registry.identity(spec, tmp_path) == material.identity()
+    again = registry.identity({**spec, "name": "other"}, tmp_path)
+    assert again == material.identity() and str(tmp_path) not in str(again)
+
+
+def test_a_suite_s_bad_file_is_refused_with_the_material_s_name(tmp_path):
+    spec = {"name": "carpet", "type": "btf", "file": "carpet.btf"}
+    with pytest.raises(InputError, match="material 'carpet': .*cannot be read"):
+        registry.validate(spec, tmp_path)
+    (tmp_path / "carpet.btf").write_bytes(b"!BDIF06R2!....")
+    with pytest.raises(InputError, match="material 'carpet': .*begins with"):
+        registry.validate(spec, tmp_path)

@@ -5,6 +5,7 @@ A specification is a name, or a mapping::
     {name: paint,     type: measured, file: paint.bsdf}
     {name: clearcoat, type: mitsuba,  bsdf: {type: principled, roughness: 0.2}}
     {name: theirs,    type: mitsuba,  file: scene.xml, id: wood}
+    {name: carpet,    type: btf,      file: carpet.btf}
     {name: rim-lobe,  type: hard}    # or its name alone: see harness.materials.hard
     {name: polished,  type: family,   family: disney, fix: {roughness: 0.1}}   # or disney alone
     {name: brushed,   type: family,   family: ggx-conductor, walks: 64}  # f: mean over 64 walks
@@ -24,6 +25,7 @@ from typing import Any
 
 from harness import mitsuba_xml
 from harness.materials import families, hard, measured, xml_bsdf
+from harness.microgeometry import btf_file
 from harness.protocol import InputError, Material, nearest
 from harness.source import covered, digest
 
@@ -104,6 +106,10 @@ def make(spec: Spec, base_dir: Path | str | None = None) -> Material:
         options = {"walks": spec["walks"]} if "walks" in spec else {}
         family = families.FAMILIES[spec["family"]]
         return family.make(spec["name"], spec.get("fix", {}), what, **options)
+    if _is(spec, "btf"):
+        from harness.materials.btf import BtfMaterial
+
+        return BtfMaterial(spec["name"], _path(spec, _base(base_dir)), what)
     # Imported here, for it loads Mitsuba.
     from harness.materials.mitsuba_bsdf import MitsubaMaterial
 
@@ -199,6 +205,18 @@ class _Mitsuba:
         )
 
 
+class _Btf:
+    """``{name, type: btf, file}``; :func:`make` makes it, for it is not Mitsuba's."""
+
+    def validate(self, spec: Mapping[str, Any], base: Path) -> None:
+        _only(spec, ("file",))
+        btf_file.check(_path(spec, base), _where(spec))
+
+    def identity(self, spec: Mapping[str, Any], base: Path) -> dict[str, Any]:
+        file = mitsuba_xml.file_hash(_path(spec, base), _where(spec))
+        return {"type": "btf", "sha256": file}
+
+
 class _Hard:
     """``{name, type: hard}``; :func:`make` makes it, for not all are Mitsuba's."""
 
@@ -247,6 +265,7 @@ class _Family:
 KINDS: dict[str, Any] = {
     "mitsuba": _Mitsuba(),
     "measured": _Measured(),
+    "btf": _Btf(),
     "hard": _Hard(),
     "family": _Family(),
 }

@@ -94,7 +94,23 @@ COLOUR_MODELS: dict[int, Callable[[Btf, Array], Array]] = {
     11: _of_log_luma_ratios,
     12: lambda btf, v: np.exp(v) - np.float32(EPSILON),
 }
-"""By number: RGB, YUV, principal components, YCoCg, log Y with UV, log Y with U/Y and V/Y, log RGB."""
+"""RGB, YUV, principal components, YCoCg, log Y with U and V, log Y with U/Y and V/Y, log RGB."""
+
+
+def check(path: Path, where: str) -> None:
+    """Refuse, without reading it all, what is no file or begins like no BTF that can be read.
+
+    ``where`` names what the file was given for.
+    """
+    try:
+        with path.open("rb") as file:
+            start = file.read(max(map(len, SIGNATURES)))
+    except OSError as error:
+        raise InputError(f"{where}: {path} cannot be read: {error.strerror}") from None
+    try:
+        _signature(start)
+    except InputError as error:
+        raise InputError(f"{where}: {path}: {error}") from None
 
 
 def read(path: Path) -> Btf:
@@ -131,10 +147,7 @@ class _Reader:
 
 
 def _parse(reader: _Reader) -> Btf:
-    signature = next((s for s in SIGNATURES if reader.data.startswith(s.encode())), None)
-    if signature is None:
-        start = reader.data[:10].decode("ascii", "replace")
-        raise InputError(f"expected a BTF that begins with {', '.join(SIGNATURES)}, got {start!r}")
+    signature = _signature(reader.data)
     reader.bytes(len(signature))
     has_cosine = _meta_data(reader)
     lights, views = _sampling(reader)
@@ -162,6 +175,14 @@ def _parse(reader: _Reader) -> Btf:
         known = ", ".join(map(str, COLOUR_MODELS))
         raise InputError(f"unknown colour model {model}; expected one of {known}")
     return Btf(lights, views, width, height, has_cosine, tuple(channels), model, mean, matrix)
+
+
+def _signature(data: bytes) -> str:
+    for signature in SIGNATURES:
+        if data.startswith(signature.encode()):
+            return signature
+    start = data[:10].decode("ascii", "replace")
+    raise InputError(f"expected a BTF that begins with {', '.join(SIGNATURES)}, got {start!r}")
 
 
 def _meta_data(reader: _Reader) -> bool:

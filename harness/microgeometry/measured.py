@@ -116,7 +116,7 @@ class MeasuredSurface:
         radius = np.sqrt(-2 * np.log1p(-random[..., 0])) * kernel[:, None]
         turn = 2 * math.pi * random[..., 1]
         place = u[:, None] + radius[..., None] * np.stack([np.cos(turn), np.sin(turn)], -1)
-        texel, share = self._texels(place.reshape(-1, 2))
+        texel, share = self.texels(place.reshape(-1, 2))
         view, view_weight = self._views.weights(wi)
         lamp, lamp_weight = self._lights.weights(wo)
         total = np.zeros((len(u), samples, 3), np.float32)
@@ -132,8 +132,8 @@ class MeasuredSurface:
                     total += weight * value.reshape(len(u), samples, 3)
         return total.mean(1)
 
-    def _texels(self, place: NDArray[Any]) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
-        """``(index [N, 4], weight [N, 4])`` of the bilinear look-up, wrapping around."""
+    def texels(self, place: NDArray[Any]) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
+        """``(index [N, 4], weight [N, 4])`` of the texels around uv [N, 2], wrapping around."""
         size = np.array([self.btf.width, self.btf.height])
         at = place * size[0] - 0.5  # square texels: the width of the picture is the tile's
         corner = np.floor(at).astype(np.int64)

@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 from harness.microgeometry.queries import truth
-from harness.protocol import to_direction
+from harness.protocol import InputError, to_direction
 
 KEY = (-0.45, 0.5)
 """Projection of the key light's direction on the picture's plane (left and above)."""
@@ -101,6 +101,43 @@ def sphere_shots(
     return shots._replace(pixel=torch.nonzero(on)[:, 0][shots.pixel])
 
 
+def perspective_shots(
+    resolution: int,
+    tiles: float = 2.0,
+    tilt: float = 50.0,
+    wo: tuple[float, float] = KEY,
+    spp: int = 1,
+    seed: int = 0,
+    dome: float = 0.4,
+) -> Shots:
+    """Queries of a plane that a camera sees ``tilt`` degrees from its normal, near by.
+
+    About ``tiles`` of it are across the middle of the picture. Footprints grow with distance,
+    as a renderer's do: a pixel's width, and its height over the cosine, in the mean.
+    """
+    generator = torch.Generator().manual_seed(seed)
+    row, column = torch.meshgrid(torch.arange(resolution), torch.arange(resolution), indexing="ij")
+    half = math.tan(math.radians(15.0))
+    x = ((2 * column + 1) / resolution - 1).reshape(-1) * half
+    y = (1 - (2 * row + 1) / resolution).reshape(-1) * half
+    sine, cosine = math.sin(math.radians(tilt)), math.cos(math.radians(tilt))
+    distance = tiles / (2 * half)
+    eye = distance * torch.tensor([0.0, -sine, cosine])
+    forward, up = torch.tensor([0.0, sine, -cosine]), torch.tensor([0.0, cosine, sine])
+    ray = x[:, None] * torch.tensor([1.0, 0, 0]) + y[:, None] * up + forward
+    ray = torch.nn.functional.normalize(ray, dim=1)
+    if bool((ray[:, 2] >= 0).any()):
+        raise InputError(f"tilt: expected the plane to fill the picture, got {tilt} degrees")
+    t = -eye[2] / ray[:, 2]
+    u = eye[:2] + t[:, None] * ray[:, :2]
+    # Half the spacing of pixels there, in the geometric mean of the plane's two directions.
+    footprint = t * half / resolution / (-ray[:, 2]).sqrt()
+    local = torch.eye(3).expand(len(u), 3, 3)
+    light = to_direction(torch.tensor(wo))
+    shape = (resolution, resolution)
+    return _lit(u, footprint, -ray, local, light, dome, spp, generator, shape)
+
+
 def develop(shots: Shots, reflectance: Reflectance) -> Tensor:
     """The picture [H, W, 3], linear, from anything that answers the queries."""
     f = reflectance(shots.u, shots.kernel, shots.wi, shots.wo)
@@ -138,6 +175,22 @@ def sphere(
 ) -> Tensor:
     """The path-traced sphere of :func:`sphere_shots`: [H, W, 3], linear."""
     shots = sphere_shots(resolution, tiles, wo, spp, seed, dome)
+    return develop(shots, _tracing(surface, spp, seed, device, dome))
+
+
+def perspective(
+    surface: Any,
+    resolution: int,
+    wo: tuple[float, float] = KEY,
+    spp: int = 16,
+    tiles: float = 2.0,
+    tilt: float = 50.0,
+    dome: float = 0.4,
+    seed: int = 0,
+    device: str = "cpu",
+) -> Tensor:
+    """The path-traced plane of :func:`perspective_shots`: [H, W, 3], linear."""
+    shots = perspective_shots(resolution, tiles, tilt, wo, spp, seed, dome)
     return develop(shots, _tracing(surface, spp, seed, device, dome))
 
 
