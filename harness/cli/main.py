@@ -11,7 +11,7 @@ import typer
 
 VERBS = (
     *("run", "report", "compare", "advise"),
-    *("list", "check", "validate", "new", "doctor", "bench"),
+    *("list", "check", "validate", "new", "doctor", "bench", "effects"),
 )
 REFUSED = 2
 INTERRUPTED = 130

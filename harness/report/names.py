@@ -13,6 +13,7 @@ TABLES = (
     "ranking",
     "stability",
     "image-checks",
+    "effects",
     "status",
 )
 FIGURES = (
@@ -24,4 +25,5 @@ FIGURES = (
     "slices",
     "images",
     "heatmap",
+    "effects",
 )

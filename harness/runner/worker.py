@@ -19,6 +19,7 @@ import numpy as np
 import torch
 
 from harness import machine, registry, store
+from harness.effects import is_auto
 from harness.measures import registry as measures
 from harness.measures.base import Job, Outcome
 from harness.measures.fit import restore
@@ -39,6 +40,9 @@ class Worker:
         # Kept for the whole run: measures may remember something by the object.
         self.materials: dict[str, Material] = {}
         self.scenes: dict[str, Any] = {}
+        self.resolved: dict[str, tuple[Any, Any]] = {}
+        self.choices: dict[str, dict[str, Any]] = {}
+        """By trial: what ``effects: auto`` came to, and why."""
         self.fitted: dict[str, Method] = {}
 
     def unit(self, unit: Unit) -> None:
@@ -173,7 +177,19 @@ class Worker:
             from harness.scenes import registry as scenes
 
             self.scenes[trial.scene] = scenes.make(trial.scene_spec)
-        return self.scenes[trial.scene]
+        scene = self.scenes[trial.scene]
+        return self._resolved(trial, scene) if is_auto(scene.effects) else scene
+
+    def _resolved(self, trial: Trial, scene: Any) -> Any:
+        """The scene with what ``auto`` stands for here; why is stored with every trial."""
+        key = f"{trial.scene}\0{trial.material}"
+        if key not in self.resolved:
+            from harness.measures.auto import resolve
+
+            self.resolved[key] = resolve(scene, self._material(trial), self.progress.note)
+        found, choice = self.resolved[key]
+        self.choices[trial.hash] = choice.as_json()
+        return found
 
     def _fitted(self, trial: Trial, make: Callable[[], Method]) -> Method:
         if trial.fit not in self.fitted:
@@ -192,6 +208,8 @@ class Worker:
             "started": started,
             "seconds": round(seconds, 3),
         }
+        if trial.hash in self.choices:
+            described["effects"] = self.choices[trial.hash]
         if trial.fit:
             described["fit"] = trial.fit
         try:

@@ -27,7 +27,7 @@ from harness.protocol import InputError, nearest
 from harness.scenes import library, xml
 from harness.scenes.base import Scene, XmlScene
 from harness.scenes.sizes import SIZES
-from harness.source import covered, digest
+from harness.source import ROOT, covered, digest
 
 Spec = str | Mapping[str, Any]
 
@@ -55,7 +55,8 @@ def identity(spec: Spec, base_dir: Path | str | None = None) -> dict[str, Any]:
     """What determines the scene, as JSON data: contents of files, never their paths."""
     scene = make(spec, base_dir)
     if isinstance(scene, XmlScene):
-        return xml.identity(scene, base_dir)
+        found = xml.identity(scene, base_dir)
+        return found | ({"auto": _auto_source()} if effects.is_auto(scene.effects) else {})
     _, name, parameters = _arguments(spec)
     found = {
         "type": "named",
@@ -64,6 +65,8 @@ def identity(spec: Spec, base_dir: Path | str | None = None) -> dict[str, Any]:
         "effects": sorted(scene.effects),
         "source": digest(covered(Path(inspect.getfile(_function(name))), "harness.scenes")),
     }
+    if effects.is_auto(scene.effects):
+        found["auto"] = _auto_source()
     around = {str(shape.material): shape.material for shape in scene.shapes if shape.material}
     if around:
         found["materials"] = [materials.identity(around[key]) for key in sorted(around)]
@@ -80,6 +83,11 @@ def make(spec: Spec, base_dir: Path | str | None = None) -> Scene | XmlScene:
         scene = replace(scene, effects=effects.checked(spec["effects"], f"scene '{shown}'"))
     effects.require_of(scene)
     return scene
+
+
+def _auto_source() -> str:
+    """Of what finds the effects that ``auto`` stands for."""
+    return digest(covered(ROOT / "harness" / "measures" / "auto.py", "harness.measures"))
 
 
 def _function(name: str) -> Any:

@@ -11,6 +11,7 @@ from collections.abc import Callable
 from harness.report.figures.breakeven import breakeven
 from harness.report.figures.canvas import Canvas, Drawn
 from harness.report.figures.convergence import convergence
+from harness.report.figures.effects import effects
 from harness.report.figures.heatmap import heatmap
 from harness.report.figures.images import images
 from harness.report.figures.materials import materials
@@ -28,6 +29,7 @@ FIGURES: dict[str, Callable[[Results, Canvas], list[Drawn] | str]] = {
     "slices": slices,
     "images": images,
     "heatmap": heatmap,
+    "effects": effects,
 }
 
 __all__ = ["FIGURES", "Canvas", "Drawn"]
