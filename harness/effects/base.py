@@ -15,7 +15,9 @@ class Recipe:
     """What to build. Without any effect: no light at all, and one bounce.
 
     ``bounces`` is how often light may scatter at surfaces on its way to the camera; 1 is direct
-    light. ``material`` are the material's own effects that run, None for all it has.
+    light. ``material`` are the material's own effects that run, None for all it has. ``paths``
+    is no effect: it asks for a path tracer even where direct light is all, so that an image can
+    be compared with one of more bounces from the same random numbers.
     """
 
     lights: frozenset[str] = frozenset()
@@ -25,13 +27,14 @@ class Recipe:
     lens: bool = False
     channels: int = 3
     material: frozenset[str] | None = None
+    paths: bool = False
 
     @property
     def integrator(self) -> Integrator:
         """The leanest of Mitsuba's integrators that has all of it."""
         if self.media:
             return "volpath"
-        return "path" if self.bounces > 1 else "direct"
+        return "path" if self.bounces > 1 or self.paths else "direct"
 
     def of(self, own: frozenset[str]) -> frozenset[str]:
         """Which of a material's ``own`` effects run."""

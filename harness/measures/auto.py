@@ -183,7 +183,8 @@ class _Search:
 
     def _prepare(self, effects: tuple[str, ...], meter: Meter | None = None) -> Any:
         scene = replace(self.scene, effects=effects)
-        return prepare(scene, self.material, self.method, RESOLUTION, meter=meter)
+        # Paths in any case: images of one bounce and of more then have their noise in common.
+        return prepare(scene, self.material, self.method, RESOLUTION, meter=meter, paths=True)
 
 
 _ORDER = ("media", "multiple-scattering", "indirect", "area-lights", "point-lights", "environment")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,7 +37,9 @@ class Effects(Measure):
     effects and colour among them), and once with each effect more that it and the material
     could give. All take turns, one render of each a round, of the same samples and from the same
     random numbers; a render is both a timing and one of the images that the differences are
-    estimated from. What two images have of the same noise does not tell them apart.
+    estimated from. What two images have of the same noise does not tell them apart. For
+    ``indirect`` the image of direct light is rendered once more, untimed, by a path tracer, whose
+    random numbers are those of more bounces.
 
     For EFFECT: ``EFFECT.seconds`` per sample per pixel that it adds, of paired rounds;
     ``EFFECT.relmse``, the squared difference of the two expected images over the mean square of
@@ -80,7 +82,9 @@ class Effects(Measure):
         for name, effects in variants.items():
             notify(f"{name}: preparing")
             spp = shots[0].spp if shots else 0
-            shots.append(_Shot(job, name, effects, settings, spp))
+            direct = "indirect" not in map(name_of, effects)
+            paired = direct and "indirect" in variants and name in (FULL, "indirect")
+            shots.append(_Shot(job, name, effects, settings, spp, paired=paired))
         timings = interleave([shot.contender() for shot in shots], settings, notify)
         for shot in shots:
             notify(f"{shot.name}: counting")
@@ -117,9 +121,13 @@ class _Shot:
     spp: int
     passes: list[Pass] = field(default_factory=list)
     counts: dict[str, float] = field(default_factory=dict)
+    paired: bool = False
+    """Whether its direct light has to be rendered by a path tracer too, to be compared."""
+    pairs: list[NDArray] = field(default_factory=list)
 
     def __post_init__(self) -> None:
-        self.prepared = self._prepare(None)
+        self.prepared = self._prepare()
+        self.paths = self._prepare(paths=True) if self.paired else self.prepared
         seeds = iter(range(77, 10**6))
 
         def once() -> float:
@@ -132,11 +140,10 @@ class _Shot:
             self.spp = max(2, int(self.settings.slice_seconds / seconds))
         settle(once, self.settings)
 
-    def _prepare(self, meter: Meter | None) -> Prepared:
+    def _prepare(self, **how: Any) -> Prepared:
         job = self.job
         scene = replace(job.scene, effects=self.effects)
-        size = self.settings.resolution
-        return prepare(scene, job.material, job.method, size, meter=meter)
+        return prepare(scene, job.material, job.method, self.settings.resolution, **how)
 
     def contender(self) -> Contender:
         """Seconds per sample per pixel, beside the scene as it is."""
@@ -146,12 +153,14 @@ class _Shot:
         # The same of all variants in a round, and no other round's.
         seed = 1_000_003 * (self.job.seed + 1) + number
         self.passes.append(checked(self.prepared.render(self.spp, seed), self.job))
+        if self.paired:
+            self.pairs.append(checked(self.paths.render(self.spp, seed), self.job).rgb)
         return self.passes[-1].seconds
 
     def count(self) -> None:
         """What is run for one sample of a pixel, on average over the image."""
         meter = Meter()
-        done = self._prepare(meter).render(2, 5)
+        done = self._prepare(meter=meter).render(2, 5)
         rays = done.mean.size * done.spp
         self.counts = {name: n / rays for name, n in meter.counts.items()}
 
@@ -159,6 +168,11 @@ class _Shot:
     def images(self) -> NDArray:
         """[rounds, H, W, 3]."""
         return np.stack([p.rgb for p in self.passes])
+
+    @property
+    def paired_images(self) -> NDArray:
+        """The same [rounds, H, W, 3], from the random numbers of a path tracer."""
+        return np.stack(self.pairs) if self.paired else self.images
 
     def half(self, odd: int) -> NDArray:
         """Mean [H, W, 3] of every second render."""
@@ -220,8 +234,13 @@ def _compare(
     name, there = shot.name, shot.name in called
     sign = 1 if there else -1
     saved = sign * (timings.rival_seconds(index) - timings.seconds(index))
-    apart = difference(shot.images, whole.images)
-    mean, shown = flip(shot.images.mean(0), whole.images.mean(0), parameters)
+    images = (
+        (shot.paired_images, whole.paired_images)
+        if name == "indirect"
+        else (shot.images, whole.images)
+    )
+    apart = difference(*images)
+    mean, shown = flip(*(stack.mean(0) for stack in images), parameters)
     matters = apart.value.value > tolerance**2 and apart.value.low > 0
     unclear = apart.value.low < tolerance**2 < apart.value.high
     records = [

@@ -62,18 +62,20 @@ def prepare(
     sampling: Sampling | None = None,
     bsdf: MakeBSDF = plugin.SampledBSDF,
     meter: Meter | None = None,
+    paths: bool = False,
 ) -> Prepared:
     """The scene with ``material`` sampled by ``method``, and what its effects call for.
 
     ``sampling`` overrules whether lights are sampled: by BSDF samples alone (``"bsdf"``), or
     by those and light samples, weighted by the method's pdf (``"mis"``). ``bsdf`` makes the
     BSDF of the pair. A ``meter`` counts what all surfaces and lights are asked for, which
-    takes time.
+    takes time. ``paths`` has direct light rendered by a path tracer too, which draws the random
+    numbers that it would draw for more bounces.
 
     Raises:
         InputError: an effect that the scene or the material cannot give.
     """
-    recipe = _recipe(scene, material, sampling)
+    recipe = replace(_recipe(scene, material, sampling), paths=paths)
     material, method = _reduced(material, method, recipe)
     placed = bsdf(material, method)
     placed.follow(recipe, meter)

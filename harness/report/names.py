@@ -14,6 +14,7 @@ TABLES = (
     "stability",
     "image-checks",
     "effects",
+    "effect-counts",
     "status",
 )
 FIGURES = (

@@ -42,7 +42,7 @@ def effects_only(loaded: Loaded, method: str | None) -> Loaded:
             "methods": [spec for spec in suite.methods if spec.label == chosen],
             "baseline": chosen,
             "profiles": profiles,
-            "report": ReportSpec(tables=[MEASURE, "status"], figures=[MEASURE]),
+            "report": ReportSpec(tables=[MEASURE, "effect-counts", "status"], figures=[MEASURE]),
         }
     )
     return replace(loaded, suite=reduced)

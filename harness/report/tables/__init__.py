@@ -8,7 +8,7 @@ from harness.report.results import Results
 from harness.report.table import Table
 from harness.report.tables.bias import bias
 from harness.report.tables.breakeven import breakeven
-from harness.report.tables.effects import effects
+from harness.report.tables.effects import effect_counts, effects
 from harness.report.tables.image_checks import image_checks
 from harness.report.tables.pdf import pdf
 from harness.report.tables.ranking import ranking
@@ -30,5 +30,6 @@ TABLES: dict[str, Callable[[Results], Table | str]] = {
     "stability": stability,
     "image-checks": image_checks,
     "effects": effects,
+    "effect-counts": effect_counts,
     "status": status,
 }

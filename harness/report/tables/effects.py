@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Any
 
 from harness.report.results import Results
@@ -32,15 +33,8 @@ def effects(results: Results) -> Table | str:
     found = trials(results)
     if not found:
         return f"no trial of the measure {MEASURE} is stored"
-    sections, columns = [], ["verdict", "adds ms/spp", "share", "relMSE", "noise", "FLIP"]
-    columns += ["FLIP noise", *(f"+ {words}" for words in _COUNTS.values())]
-    for (scene, material, method), rows in found.items():
-        title = f"{scene}, {material}, {method}"
-        if not effects_of(rows):
-            why = results.why_missing(MEASURE, material, method, scene)
-            sections.append(Section(title, [Row("†", [Cell(missing=why) for _ in columns])]))
-            continue
-        sections.append(Section(title, [_row(rows, name) for name in effects_of(rows)]))
+    columns = ["verdict", "adds ms/spp", "share", "relMSE", "of noise", "FLIP", "of noise"]
+    sections = _sections(results, found, columns, _row)
     tolerance = next((rows["tolerance"]["value"] for rows in found.values() if rows), math.nan)
     return Table(
         name=MEASURE,
@@ -52,7 +46,6 @@ def effects(results: Results) -> Table | str:
             "nothing; missing: the scene does not call for it, and it changes as much. Light "
             "sampling is needed if it lowers (variance × time). relMSE and FLIP are of the image "
             "without the effect, beside those of two images that have half of the samples each. "
-            "Counts are what it adds for each sample of a pixel. "
             + circumstances(results, MEASURE, timed=True)
         ).strip(),
         corner="effect",
@@ -60,6 +53,45 @@ def effects(results: Results) -> Table | str:
         sections=sections,
         legend=choices(results),
     )
+
+
+def effect_counts(results: Results) -> Table | str:
+    """What each effect has the renderer do, in the same sections and rows."""
+    found = trials(results)
+    if not found:
+        return f"no trial of the measure {MEASURE} is stored"
+    columns = list(_COUNTS.values())
+    return Table(
+        name="effect-counts",
+        title="What runs for each effect",
+        caption=(
+            "How many more, for each sample of a pixel, with the effect than without it: rays that "
+            "go on from a surface, rays to a sampled light, evaluations of BSDFs, numbers that "
+            "these gave, pdf queries, and evaluations of neural networks; over all surfaces. "
+            + circumstances(results, MEASURE)
+        ).strip(),
+        corner="effect",
+        columns=columns,
+        sections=_sections(results, found, columns, _counts),
+    )
+
+
+def _sections(
+    results: Results,
+    found: dict[tuple[str, str, str], Rows],
+    columns: list[str],
+    row: Callable[[Rows, str], Row],
+) -> list[Section]:
+    """One per trial; a trial that failed says why."""
+    sections = []
+    for (scene, material, method), rows in found.items():
+        title = f"{scene}, {material}, {method}"
+        if effects_of(rows):
+            sections.append(Section(title, [row(rows, name) for name in effects_of(rows)]))
+        else:
+            why = results.why_missing(MEASURE, material, method, scene)
+            sections.append(Section(title, [Row("†", [Cell(missing=why) for _ in columns])]))
+    return sections
 
 
 def choices(results: Results) -> list[str]:
@@ -113,6 +145,11 @@ def _row(rows: Rows, name: str) -> Row:
     cells.append(_interval(change))
     cells += [Cell(rows["noise"]["value"]), Cell(rows[f"{name}.flip"]["value"])]
     cells.append(Cell(rows["flip-noise"]["value"]))
+    return Row(name, cells)
+
+
+def _counts(rows: Rows, name: str) -> Row:
+    cells = []
     for kind in _COUNTS:
         count = rows.get(f"{name}.{kind}")
         if count is None:
