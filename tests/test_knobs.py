@@ -25,8 +25,8 @@ from tests import fakes
 from tests.disk import compare
 from tests.materials import MATERIALS
 
-UNFITTED = {"cosine", "native", "tabulated"}
-WITHOUT = {"cosine", "native"}
+UNFITTED = {"cosine", "native", "random-walk", "tabulated"}
+WITHOUT = {"cosine", "native", "random-walk"}
 BUDGET = Budget(steps=40, conditions=64, directions=32, resolution=32, pool=256)
 TILTED = MATERIALS["tilted"]()
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 from harness.check import properties
 from harness.check.catalogue import BASE, CATALOGUE, HardCase
 from harness.check.finding import Finding
+from harness.check.own_weights import as_declared
 from harness.check.run import FALSE_ALARM, ORDINARY, case_tests, fit, hard, ordinary
 from harness.materials import registry as materials
 from harness.protocol import InputError, Method, nearest
@@ -129,4 +130,4 @@ def carry_out(
 
         alpha = 1 - (1 - plan.level) ** MITSUBA_TESTS
         for finding in mitsuba_chi2(method, material, seed, device=device, alpha=alpha):
-            yield finding, None
+            yield as_declared(method, finding), None

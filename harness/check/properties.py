@@ -9,6 +9,7 @@ from harness.check import batches, calling, density, devices, distribution, edge
 from harness.check.finding import Finding
 from harness.check.gradients import check_gradients
 from harness.check.invertible import check_invertible
+from harness.check.own_weights import check_own_weights
 from harness.check.subject import Case, Subject
 from harness.check.tail import check_tail
 from harness.check.weights import check_weights
@@ -28,6 +29,10 @@ class CaseProperty:
     also: tuple[str, ...] = ()
 
 
+def _weights_of(subject: Subject) -> Callable[[Subject, Case, float], Found]:
+    return check_weights if subject.method.exact_pdf else check_own_weights
+
+
 PER_CASE: dict[str, CaseProperty] = {
     "pdf-finite": CaseProperty(lambda s, c, alpha: density.check_finite_here(s, c)),
     "coverage": CaseProperty(lambda s, c, alpha: density.check_coverage(s, c)),
@@ -35,7 +40,13 @@ PER_CASE: dict[str, CaseProperty] = {
     "integral": CaseProperty(distribution.check_integral, 1),
     "samples-pdf": CaseProperty(distribution.check_samples, 1),
     "tail": CaseProperty(check_tail, 1),
-    "weights": CaseProperty(check_weights, 2, ("largest-weight", "tail-index", "invalid")),
+    "weights": CaseProperty(
+        lambda s, c, alpha: (check_weights if s.method.exact_pdf else check_own_weights)(
+            s, c, alpha
+        ),
+        2,
+        ("largest-weight", "tail-index", "invalid"),
+    ),
     "float64": CaseProperty(lambda s, c, alpha: precision.check_float64(s, c)),
     "gradients": CaseProperty(lambda s, c, alpha: check_gradients(s, c)),
     "invertible": CaseProperty(lambda s, c, alpha: check_invertible(s, c)),

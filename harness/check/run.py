@@ -12,6 +12,7 @@ import numpy as np
 from harness.check import properties
 from harness.check.finding import WORST_FIRST, Finding, verdict
 from harness.check.gradients import watched_gradients
+from harness.check.own_weights import as_declared
 from harness.check.properties import PER_CASE, PER_METHOD, Found, asked_for
 from harness.check.subject import COSINES, RANDOM_CASES, Case, Subject, cases, stream
 from harness.protocol import Budget, Material, Method, StateRefused, Unsupported
@@ -222,7 +223,8 @@ def _of_case(
         if asked_for(name, only):
             mine = replace(subject, generator=subject.stream(case.name, name))
             check = PER_CASE[name].check
-            yield from _guarded(name, case.name, lambda c=check, s=mine: c(s, case, level))
+            found = _guarded(name, case.name, lambda c=check, s=mine: c(s, case, level))
+            yield from (as_declared(subject.method, finding) for finding in found)
 
 
 def _merged(name: str, found: list[Finding]) -> Iterator[Finding]:

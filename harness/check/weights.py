@@ -28,6 +28,7 @@ from harness.check.finding import Finding, Verdict, rounded
 from harness.check.looking import Seen, look, reflectance, resampled
 from harness.check.quadrature import (
     Hints,
+    Masses,
     evaluate,
     integrate,
     per_square,
@@ -100,7 +101,7 @@ def check_weights(subject: Subject, case: Case, alpha: float) -> Iterator[Findin
     if not np.isfinite(weight).all():
         yield _no_number(subject, case, drawn, weight)
         return
-    seen = look(found, _rng(subject.generator))
+    seen = look(found, rng_of(subject.generator))
     if seen.scale == 0:
         yield Finding("weights", case.name, "pass", "the material is black here")
         return
@@ -117,7 +118,7 @@ def check_weights(subject: Subject, case: Case, alpha: float) -> Iterator[Findin
     text = f"{weight.max() / mean:.3g} times the mean, of {len(weight)} samples"
     number = float(weight.max()) / mean
     yield Finding("largest-weight", case.name, "pass", text, number=number, unit="x mean")
-    yield _tail_index(case, weight, alpha)
+    yield tail_index(case, weight, alpha)
 
 
 def weights(subject: Subject, case: Case, drawn: DiskSample) -> tuple[NDArray, NDArray]:
@@ -139,19 +140,12 @@ def _furnace(
     cap: float,
     generator: torch.Generator,
 ) -> Furnace:
-    subject, case, rng = found.subject, found.case, _rng(generator)
-    near = peaks.rings(peaks.centres(subject.material, case))
-    cells = Cells.uniform(4).refined(seen.points, max(1, len(seen.points) // 1024)).refined(near, 4)
+    subject, case, rng = found.subject, found.case, rng_of(generator)
 
     def target(wo: Tensor) -> Tensor:
         return torch.from_numpy(reflectance(subject, case, wo))
 
-    whole = integrate(
-        lambda wo: target(wo) / seen.scale,
-        Hints(seen.points, seen.density / seen.scale),
-        rng,
-        cells,
-    )
+    whole = integral_of_f(found, seen, rng)
     places, inside = found.places
     capped = np.minimum(weight[inside], cap)
     scale = float(capped.sum() / len(weight))
@@ -169,6 +163,19 @@ def _furnace(
         part.total * scale,
         part.error * scale,
         whole.cells,
+    )
+
+
+def integral_of_f(found: Evidence, seen: Seen, rng: np.random.Generator) -> Masses:
+    """Integral of f over the disk, in units of ``seen.scale``."""
+    subject, case = found.subject, found.case
+    near = peaks.rings(peaks.centres(subject.material, case))
+    cells = Cells.uniform(4).refined(seen.points, max(1, len(seen.points) // 1024)).refined(near, 4)
+    return integrate(
+        lambda wo: torch.from_numpy(reflectance(subject, case, wo)) / seen.scale,
+        Hints(seen.points, seen.density / seen.scale),
+        rng,
+        cells,
     )
 
 
@@ -206,7 +213,7 @@ def _weights(
     number, said = efficiency(weight), ""
     if furnace.is_rare:
         said = f" ({number:.3g} by what the samples found)"
-        number = _efficiency(found, weight, cap, furnace, _rng(found.subject.generator))
+        number = _efficiency(found, weight, cap, furnace, rng_of(found.subject.generator))
     text = (
         f"mean {mean:.5g}, albedo {expected:.5g} of {furnace.whole:.5g} up to weights of"
         f" {cap / mean:.3g} means, {furnace.above:.2g} above; efficiency {number:.3g}{said}"
@@ -227,7 +234,7 @@ def _weights(
     return Finding("weights", case.name, verdict, text, worst, number, "efficiency")
 
 
-def _tail_index(case: Case, weight: NDArray, alpha: float) -> Finding:
+def tail_index(case: Case, weight: NDArray, alpha: float) -> Finding:
     """Heavy only if it is so at every one of ``TAILS``, and significantly at the first."""
     tails = [hill(weight, len(weight) // part) for part in TAILS]
     index, error = tails[0]
@@ -255,5 +262,5 @@ def _no_number(subject: Subject, case: Case, drawn: DiskSample, weight: NDArray)
     return Finding("weights", case.name, "fail", text, worst)
 
 
-def _rng(generator: torch.Generator) -> np.random.Generator:
+def rng_of(generator: torch.Generator) -> np.random.Generator:
     return np.random.default_rng(int(torch.randint(1 << 62, (), generator=generator)))

@@ -73,9 +73,8 @@ class Conductor(WalkFamily):
             rng = generator_at(u, 0)
             depth = exponential(rng) * ggx.inverse_smith(-wi, alpha)
             w, weight = _walk(w, depth, weight, alpha, r0, rng)
-        # Rounding may put a horizontal exit on the rim, where there is no direction.
-        inside = w.x * w.x + w.y * w.y < 1
-        return w.x, w.y, dr.select(inside, weight, 0)
+        x, y = ggx.on_disk(w)
+        return x, y, weight
 
     def native_sample_columns(self, c: Columns, u: Columns) -> tuple[Float, Float, Float]:
         """Directions and density ``(x, y, pdf)`` per disk area; three uniforms."""

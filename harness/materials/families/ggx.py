@@ -41,6 +41,17 @@ def above(x: Float, y: Float) -> Vector:
     return vector(x, y, dr.sqrt(dr.maximum(1 - x * x - y * y, 0)))
 
 
+def on_disk(w: Vector) -> tuple[Float, Float]:
+    """The point of the disk below ``w``, which lies above the horizon.
+
+    Rounding puts directions of less than some 3e-4 above the horizon on the rim, where there
+    is none; light at grazing incidence leaves there. They are drawn in by 2.4e-7.
+    """
+    squared = w.x * w.x + w.y * w.y
+    scale = dr.select(squared < 1 - 2.0**-23, 1, (1 - 2.0**-22) * dr.rsqrt(squared))
+    return scale * w.x, scale * w.y
+
+
 def spread(w: Vector, alpha: Roughness) -> Float:
     """:math:`\\alpha_x^2 x^2 + \\alpha_y^2 y^2`."""
     return dr.square(alpha.x * w.x) + dr.square(alpha.y * w.y)
@@ -100,6 +111,7 @@ def mirrored(w: Vector, m: Vector) -> Vector:
 
 def schlick(r0: Float, cos: Float) -> Float:
     """Schlick's approximation of the Fresnel reflectance of a conductor."""
-    x = 1 - cos
+    # A cosine is above one by rounding alone.
+    x = dr.maximum(1 - cos, 0)
     x2 = x * x
     return r0 + (1 - r0) * (x2 * x2 * x)

@@ -25,9 +25,9 @@ STRATA = 4
 """Strata per side of a cell, each with one point."""
 DRAWN = 3
 """Points per cell, on average over the grid, from the model's own sampler."""
-NARROW = 0.01
+NARROW = 0.003
 """Density times the area of a stratum from which a lobe is narrow: its width is then about
-six strata, and thousands of drawn points fall into a cell of 128 x 128."""
+ten strata, and thousands of drawn points fall into a cell of 128 x 128."""
 LANES = 1 << 22
 """Points that are evaluated at once: 16 MB a column."""
 
