@@ -62,4 +62,11 @@ FAMILIES: dict[str, Described] = {
         parameters.GGX_CONDUCTOR,
         by_walks=True,
     ),
+    "layered": Described(
+        "rough dielectric over a scattering medium over a diffuse base, by random walks",
+        "layered",
+        "Layered",
+        parameters.LAYERED,
+        by_walks=True,
+    ),
 }

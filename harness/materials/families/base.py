@@ -40,8 +40,9 @@ class Family(Material):
         check(self.model, fix, f"material '{name}'")
         self.name, self._identity = name, identity
         self.off: frozenset[str] = frozenset()
-        self.fixed = {key: float(value) for key, value in fix.items()}
-        self.parameters = tuple(p for p in self.model if p.name not in fix)
+        chosen = {p.name: fix.get(p.name, p.default) for p in self.model}
+        self.fixed = {key: float(value) for key, value in chosen.items() if value is not None}
+        self.parameters = tuple(p for p in self.model if p.name not in self.fixed)
         self.n_features = len(self.parameters)
 
     def identity(self) -> dict[str, Any]:

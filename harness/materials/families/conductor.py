@@ -11,7 +11,6 @@ reflectance.
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 import drjit as dr
@@ -79,24 +78,13 @@ class Conductor(WalkFamily):
     def native_sample_columns(self, c: Columns, u: Columns) -> tuple[Float, Float, Float]:
         """Directions and density ``(x, y, pdf)`` per disk area; three uniforms."""
         alpha, _, wi = self._unpacked(c)
-        w = ggx.mirrored(wi, ggx.sample_visible(wi, alpha, u[1], u[2]))
-        radius = dr.sqrt(u[1])
-        sin, cos = dr.sincos(2 * math.pi * u[2])
-        even = u[0] < _even_share(alpha)
-        # A reflection below the horizon is invalid. (2, 0) is off the disk.
-        x = dr.select(even, radius * cos, dr.select(w.z > 0, w.x, 2))
-        y = dr.select(even, radius * sin, dr.select(w.z > 0, w.y, 0))
+        x, y = ggx.sample_mixture(wi, alpha, _even_share(alpha), u)
         return x, y, self.native_pdf_columns(c, [x, y])
 
     def native_pdf_columns(self, c: Columns, wo: Columns) -> Float:
         """Density per disk area of :meth:`native_sample_columns`."""
         alpha, _, wi = self._unpacked(c)
-        inside = wo[0] * wo[0] + wo[1] * wo[1] < 1
-        out = ggx.above(dr.select(inside, wo[0], 0), dr.select(inside, wo[1], 0))
-        h = dr.normalize(wi + out)
-        lobe = ggx.ndf(h, alpha) / (4 * ggx.projected_area(wi, alpha) * out.z)
-        share = _even_share(alpha)
-        return dr.select(inside, dr.lerp(lobe, 1 / math.pi, share), 0)
+        return ggx.pdf_mixture(wi, alpha, _even_share(alpha), wo)
 
     def _unpacked(self, c: Columns) -> tuple[ggx.Roughness, Any, Any]:
         """Roughness, reflectance at normal incidence (rgb) and wi of the rows."""

@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 
 import drjit as dr
 
-from harness.columns.bridge import Float
+from harness.columns.bridge import Columns, Float
 
 Vector = Any
 """``drjit.llvm.ad.Array3f`` or its CUDA counterpart."""
@@ -115,3 +115,27 @@ def schlick(r0: Float, cos: Float) -> Float:
     x = dr.maximum(1 - cos, 0)
     x2 = x * x
     return r0 + (1 - r0) * (x2 * x2 * x)
+
+
+def sample_mixture(wi: Vector, alpha: Roughness, even: Float, u: Columns) -> tuple[Float, Float]:
+    """A cosine lobe with probability ``even``, else ``wi`` mirrored at a visible normal.
+
+    A point of the disk from three uniforms; (2, 0), off the disk, for a mirrored direction
+    below the horizon.
+    """
+    w = mirrored(wi, sample_visible(wi, alpha, u[1], u[2]))
+    radius = dr.sqrt(u[1])
+    sin, cos = dr.sincos(2 * math.pi * u[2])
+    lobe = u[0] >= even
+    x = dr.select(lobe, dr.select(w.z > 0, w.x, 2), radius * cos)
+    y = dr.select(lobe, dr.select(w.z > 0, w.y, 0), radius * sin)
+    return x, y
+
+
+def pdf_mixture(wi: Vector, alpha: Roughness, even: Float, wo: Columns) -> Float:
+    """Density of :func:`sample_mixture` per disk area."""
+    inside = wo[0] * wo[0] + wo[1] * wo[1] < 1
+    out = above(dr.select(inside, wo[0], 0), dr.select(inside, wo[1], 0))
+    h = dr.normalize(wi + out)
+    lobe = ndf(h, alpha) / (4 * projected_area(wi, alpha) * out.z)
+    return dr.select(inside, dr.lerp(lobe, 1 / math.pi, even), 0)

@@ -28,6 +28,8 @@ class Parameter:
     most: float
     squared: bool = False
     about: str = ""
+    default: float | None = None
+    """What it is fixed to unless ``fix`` says otherwise; None: it is free."""
 
     def at(self, t: Tensor) -> Tensor:
         """Values [...] at ``t`` [...] in [0, 1], such that uniform ``t`` draws from the range."""
@@ -67,4 +69,12 @@ GGX_CONDUCTOR: Model = (
     Parameter("alpha_x", **_ALPHA, about="GGX's roughness along x"),
     Parameter("alpha_y", **_ALPHA, about="GGX's roughness along y"),
     *(Parameter(f"r0_{k}", **_SHARE, about="reflectance at normal incidence") for k in "rgb"),
+)
+
+LAYERED: Model = (
+    Parameter("eta", 1.05, 2.0, 1.0, 3.0, about="index of refraction below the interface"),
+    Parameter("alpha", **_ALPHA, about="GGX's roughness of the interface"),
+    Parameter("sigma_t", 0.0, 5.0, 0.0, 50.0, about="the medium's optical depth"),
+    *(Parameter(f"albedo_{k}", **_SHARE, about="of the medium") for k in "rgb"),
+    Parameter("base", **_SHARE, about="reflectance of the diffuse base", default=0.8),
 )
