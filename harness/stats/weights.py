@@ -13,6 +13,9 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+COARSER = 4
+"""Times the wanted resolution that a cap may leave unresolved if it keeps energy for that."""
+
 
 def efficiency(weight: NDArray) -> float:
     """(sum w)^2 / (n sum w^2): 1 for equal weights, and 1 / (1 + chi-square divergence)."""
@@ -37,21 +40,25 @@ def choose_cap(pilot: NDArray, n: int, alpha: float, resolution: float) -> float
     """The largest cap that lets ``n`` samples resolve the mean to ``resolution``.
 
     Candidates are the pilot's weights at ranks 1, 2, 4, ... from the top, and twice the
-    largest. Where none resolves as much, the one that resolves most.
+    largest. A cap below all weights that matter resolves nothing that does: where more than
+    ``resolution`` of the mean would be cut off, up to ``COARSER`` times that may be unresolved,
+    for the least of both together. Where no cap resolves as much, the one that resolves most.
     """
     ranked = np.sort(pilot[np.isfinite(pilot)])[::-1]
     ranks = 2 ** np.arange(int(math.log2(len(ranked))) + 1) - 1
-    candidates = [2 * ranked[0], *ranked[ranks]]
-    best, least = 0.0, math.inf
-    for cap in candidates:
+    best, least, coarse = 0.0, math.inf, COARSER * resolution
+    for cap in [2 * ranked[0], *ranked[ranks]]:
         v = np.minimum(ranked, cap)
         if not v.mean() > 0:
             continue
         relative = bernstein(v.var(ddof=1), cap, n, alpha) / v.mean()
-        if relative <= resolution:
+        cut = 1 - v.mean() / ranked.mean()
+        if relative <= resolution and cut <= resolution:
             return float(cap)
-        if relative < least:
-            best, least = float(cap), relative
+        # Any that resolves enough is before all that do not.
+        loss = relative + (cut if relative <= coarse else 1)
+        if loss < least:
+            best, least = float(cap), loss
     return best
 
 
