@@ -30,6 +30,7 @@ COUNTED = (
     "harness.effects",
     "harness.scenes",
     "harness.materials",
+    "harness.microgeometry",
     "harness.rendering",
     "harness.check",
     "harness.measures",

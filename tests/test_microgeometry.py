@@ -79,6 +79,16 @@ def test_lossless_relief_reflects_all_light():
         assert np.pi * f[1].mean() < 1 - 6 * spread
 
 
+def test_interpolated_normals_lose_less_than_a_percent():
+    """They are no geometry, so energy is not kept exactly; nor is any made."""
+    n = 40_000
+    u, _, wo = rows(n, 2)
+    wi = torch.tensor([[0.75, -0.3]]).expand(n, 2).contiguous()
+    f = truth(white(smooth=True), u, torch.zeros(n), wi, wo, 1, 7, depth=60)[:, 0]
+    energy, spread = np.pi * f.mean(), np.pi * f.std() / n**0.5
+    assert 0.99 - 4 * spread < energy < 1 + 4 * spread
+
+
 def test_mean_over_the_tile_is_reciprocal():
     """Camera and light change places; at one place they do not (occlusion)."""
     surface, n = white(0.05), 60_000

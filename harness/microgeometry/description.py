@@ -29,6 +29,7 @@ from harness.materials import procedural as tex
 from harness.microgeometry.expressions import Expression
 from harness.microgeometry.surface import Surface
 from harness.protocol import InputError
+from harness.source import covered, digest
 from harness.suite.refusal import refusal
 from harness.suite.schema import Strict, Word
 
@@ -144,7 +145,11 @@ class Description(Strict):
         angle = None
         if self.angle is not None:
             angle = np.array(np.broadcast_to(values["angle"], full), float)
-        source = {"description": self.model_dump(exclude={"about"}), "resolution": size}
+        source = {
+            "description": self.model_dump(exclude={"name", "about"}),
+            "resolution": size,
+            "source": digest(covered(Path(__file__), "harness.microgeometry")),
+        }
         return Surface(self.name, height, bsdf, angle, micro, source=source)
 
     def _colours(self, size: int, values: Mapping[str, Any]) -> np.ndarray:

@@ -10,7 +10,9 @@ import math
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from harness.microgeometry.queries import truth
@@ -200,6 +202,12 @@ def _tracing(surface: Any, spp: int, seed: int, device: str, dome: float) -> Ref
     return lambda u, kernel, wi, wo: truth(
         surface, u, kernel, wi, wo, samples, seed, depth=4, device=device
     )
+
+
+def srgb(image: NDArray[Any]) -> NDArray[Any]:
+    """A linear picture as sRGB in [0, 1], for a file to look at; brighter than white is white."""
+    x = np.clip(image, 0, 1)
+    return np.where(x <= 0.0031308, 12.92 * x, 1.055 * x ** (1 / 2.4) - 0.055)
 
 
 def studio(direction: Tensor) -> Tensor:

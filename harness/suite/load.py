@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import yaml
 from pydantic import ValidationError
 
 from harness.protocol import InputError, nearest
@@ -15,6 +14,7 @@ from harness.source import ROOT
 from harness.suite.refusal import refusal
 from harness.suite.schema import MethodSpec, NamedSpec, Suite
 from harness.suite.sweep import expand
+from harness.yamlfile import parse_yaml, read_yaml
 
 SUITES = ROOT / "suites"
 LISTS = ("materials", "methods", "scenes", "measures")
@@ -38,7 +38,7 @@ def names() -> list[str]:
 
 def describe(name: str) -> str:
     """Title of a suite that comes with the harness."""
-    data = yaml.load((SUITES / f"{name}.yaml").read_text(encoding="utf-8"), Loader=_Loader)
+    data = read_yaml(SUITES / f"{name}.yaml", "a suite in YAML")
     return str(data.get("title", ""))
 
 
@@ -62,13 +62,11 @@ def load(name: str | Path) -> Loaded:
     path = find(name)
     try:
         text = path.read_text(encoding="utf-8")
-        data = yaml.load(text, Loader=_Loader)
+        data = parse_yaml(text, str(path))
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror}") from None
     except UnicodeDecodeError:
         raise InputError(f"{path}: not a text file; expected a suite in YAML") from None
-    except yaml.YAMLError as error:
-        raise InputError(f"{path}{_position(error)}: not valid YAML: {_problem(error)}") from None
     if not isinstance(data, dict):
         raise InputError(f"{path}: expected a mapping with the keys name, materials, methods, ...")
     for key in LISTS:
@@ -178,26 +176,3 @@ def _known(where: str, values: Iterable[str], known: list[str], what: str) -> No
 
 def _is_map(value: Any) -> bool:
     return isinstance(value, dict)
-
-
-class _Loader(yaml.SafeLoader):
-    """YAML in which a key may be given once."""
-
-    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict:
-        seen = set()
-        for key_node, _ in node.value:
-            if isinstance(key_node, yaml.ScalarNode):
-                if key_node.value in seen and key_node.value != "<<":
-                    what = f"the key '{key_node.value}' is given twice"
-                    raise yaml.constructor.ConstructorError(None, None, what, key_node.start_mark)
-                seen.add(key_node.value)
-        return super().construct_mapping(node, deep)
-
-
-def _position(error: yaml.YAMLError) -> str:
-    mark = getattr(error, "problem_mark", None)
-    return f", line {mark.line + 1}" if mark else ""
-
-
-def _problem(error: yaml.YAMLError) -> str:
-    return (getattr(error, "problem", None) or str(error)).partition("\n")[0]
