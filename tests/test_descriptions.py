@@ -198,3 +198,13 @@ def test_identity_covers_what_changes_the_surface():
     plain = parse(PLAIN).surface(16)
     assert plain.identity() == parse({**PLAIN, "about": "other words"}).surface(16).identity()
     assert plain.identity() != parse({**PLAIN, "roughness": 0.4}).surface(16).identity()
+
+
+def test_the_manual_names_every_function_and_key():
+    from harness.microgeometry.description import Description
+    from harness.source import ROOT
+
+    manual = (ROOT / "docs" / "microgeometry.md").read_text(encoding="utf-8")
+    tables = "".join(line for line in manual.splitlines() if line.startswith("|"))
+    words = set(re.findall(r"[a-z_]+", tables))
+    assert {*FUNCTIONS, *Description.model_fields} - {"fields"} <= words
