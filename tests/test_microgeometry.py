@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import torch
 
+from harness import microgeometry
 from harness.materials.procedural import fbm
 from harness.materials.registry import make
 from harness.microgeometry.estimate import reflectance
@@ -144,6 +145,22 @@ def test_parallax_follows_the_height():
     assert float(f[0, 0]) * np.pi == pytest.approx(0.4 + top * 0.6 / 0.8, abs=2e-3)
 
 
+def test_shadows_fall_across_a_groove_and_not_along_it():
+    """At its bottom, for low light, however many tiles away the ray leaves."""
+    v = (np.arange(64) + 0.5) / 64
+    grooves = np.tile(0.1 * np.cos(4 * np.pi * v)[:, None], (1, 64))  # the bottom is at v = 1/4
+    grey = {"type": "diffuse", "reflectance": {"type": "rgb", "value": 0.5}}
+    surface = Surface("grooves", grooves, grey)
+    n = 5
+    u = torch.tensor([[0.3, 0.25]]).expand(n, 2).contiguous()
+    low = 0.999
+    wo = torch.tensor([[low, 0], [-low, 0], [0, low], [0, -low], [0.99999995, 0]])
+    f = truth(surface, u, torch.zeros(n), torch.zeros(n, 2), wo, 1, 0, depth=1, light=0.0)[:, 0]
+    assert np.pi * f[:2] == pytest.approx(0.5, rel=1e-2)
+    assert (f[2:4] == 0).all()
+    assert torch.isfinite(f[4])  # a ray that could go on for ever
+
+
 def test_anisotropy_turns_with_the_angle():
     """A frame turned by a right angle swaps the two roughnesses."""
 
@@ -182,6 +199,19 @@ def test_answers_depend_on_row_and_seed_alone():
         small = reflectance(surface, u, kernel, wi, wo, 5, 2**40 + 1, lanes=lanes)
         torch.testing.assert_close(small, whole, rtol=1e-5, atol=1e-6)
     assert not torch.equal(whole, truth(surface, u, kernel, wi, wo, 5, seed=1))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", microgeometry.names())
+def test_the_twelve_reflect_no_more_than_they_get(name):
+    """Finite, not negative, and in the mean over places below one for light from all around."""
+    surface, n = microgeometry.load(name, resolution=128), 100_000
+    u, _, wo = rows(n, 3)
+    for wi in ((0.0, 0.0), (0.6, 0.5)):
+        here = torch.tensor([wi]).expand(n, 2).contiguous()
+        f = truth(surface, u, torch.zeros(n), here, wo, 1, 1, depth=8)
+        assert torch.isfinite(f).all() and (f >= 0).all()
+        assert (np.pi * f.mean(0) < 1).all() and (np.pi * f.mean(0) > 0.01).all()
 
 
 def test_draws_are_seeded_and_cover_their_ranges():
