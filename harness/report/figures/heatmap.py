@@ -19,15 +19,30 @@ _LEGEND = (
     ("pass", "pass"),
     ("degraded", "degraded: correct, with its number"),
     ("fail", "fail"),
-    ("skip", "no answer"),
+    ("skip", "does not apply, or was not run"),
 )
+_ABOUT = {
+    "direction": "where the given direction points",
+    "lobe": "what shape the reflectance has",
+    "data": "what measured reflectance and textures hold",
+    "state": "what the method's networks and tables hold",
+    "input": "what the method is called with",
+}
+"""What the groups of the catalogue are about; a group of another name goes without."""
+_WORDS = (
+    "eff: share of the samples that count  ·  invalid: share that is thrown away  ·  "
+    "lost: share of the light never found\n"
+    "tail: index of weights without variance  ·  "
+    "refused: share of the samples that a refused state would misplace"
+)
+"""What the numbers in the cells are."""
 _CELL = (0.86, 0.19)
 """Width and height of a cell, inches."""
 _BLOCK = 0.26
 """Height of a group's heading, inches."""
 _LETTER = 0.062
 """Width of a letter of a case's name, inches; for the room left of the cells."""
-_FOOT, _KEYS = 0.36, 4.4
+_FOOT, _KEYS = 0.52, 5.2
 """Height and width of the legend, inches."""
 
 
@@ -57,7 +72,13 @@ def _draw(results: Results, canvas: Canvas, rows: list[CaseRow]) -> Drawn:
     y = height - top
     for title, members in blocks.items():
         y -= _BLOCK
-        axes.text(left, y + 0.05, title, ha="left", va="bottom", fontsize=7.5, weight="bold")
+        words = axes.annotate(
+            title, (left, y + 0.05), ha="left", va="bottom", fontsize=7.5, weight="bold"
+        )
+        axes.annotate(
+            _ABOUT.get(title, ""), (1, 0), xytext=(5, 0), xycoords=words,
+            textcoords="offset points", ha="left", va="bottom", fontsize=7, color="#555555",
+        )  # fmt: skip
         for row in members:
             y -= _CELL[1]
             axes.text(left - 0.07, y + _CELL[1] / 2, row.name, ha="right", va="center", fontsize=7)
@@ -66,21 +87,25 @@ def _draw(results: Results, canvas: Canvas, rows: list[CaseRow]) -> Drawn:
     figure.legend(
         handles=[_key(verdict, said) for verdict, said in _LEGEND],
         loc="lower left",
-        bbox_to_anchor=(min(left, width - _KEYS) / width, 0.0),
+        bbox_to_anchor=(min(left, width - _KEYS) / width, 0.26 / height),
         ncols=len(_LEGEND),
         borderpad=0.6,
         borderaxespad=0.0,
         fontsize=7,
         columnspacing=1.2,
     )
+    figure.text(
+        (min(left, width - _KEYS) + 0.06) / width, 0.03 / height, _WORDS,
+        ha="left", va="bottom", fontsize=6.2, color="#555555", linespacing=1.35,
+    )  # fmt: skip
     return canvas.save(
         figure,
         "heatmap",
         "Numerical stability at a glance",
         "What becomes of each method in each hard case of the catalogue. Degraded: its samples and "
         "its density are right, yet by construction it cannot do the case well, and the number "
-        "says how badly (eff: the share of its samples that count). Hatched: no answer; the table "
-        "of numerical stability gives the reasons.",
+        "says how badly. Hatched: does not apply, or was not run; the table of numerical stability "
+        "gives the reasons.",
     )
 
 
