@@ -29,6 +29,12 @@ def fixed(name: str, **fix: float) -> Material:
     return registry.make({"name": "mine", "type": "family", "family": name, "fix": fix})
 
 
+@pytest.fixture(autouse=True)
+def _short_tables(monkeypatch):
+    """Few walks for the slices of layers: their means are tested, not their noise."""
+    monkeypatch.setattr("harness.materials.families.layered.TABLE_WALKS", 1024)
+
+
 # --- every family ----------------------------------------------------------------------
 
 

@@ -338,3 +338,22 @@ def test_nan_stays_in_its_row():
         other, dimmed = material.walk_sample(bad, u)
         assert torch.equal(other[keep], wo[keep]) and torch.equal(dimmed[keep], weight[keep])
         assert torch.equal(material.eval(bad, u[:, :2] - 0.5)[keep], f[keep])
+
+
+def test_slices_share_walks_without_a_bias(monkeypatch):
+    """What a slice evaluates, over many seeds, is f: the table's interpolation is not seen."""
+    monkeypatch.setattr("harness.materials.families.layered.TABLE_WALKS", 256)
+    material = family("layered", 512, base=0.9)
+    n = 32
+    condition = material.conditions(n, rng(27))
+    wo = square_to_disk(torch.rand(n, 2, generator=rng(28)))
+    c, at = columns_of(condition), columns_of(wo)
+    row = dr.arange(mi.UInt32, n)
+    shared = torch.stack(
+        [tensor_of(*material.evaluator(c, seed)(row, c, at), rows=n) for seed in range(1, 25)]
+    )
+    z = z_scores(
+        (shared.mean(0), shared.std(0) / math.sqrt(len(shared))),
+        (material.eval(condition, wo), material.noise(condition, wo)),
+    )
+    assert z.square().mean() < 1.5 and z.mean().abs() < 0.6

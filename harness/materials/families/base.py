@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 from abc import abstractmethod
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, ClassVar
 
 import drjit as dr
@@ -99,6 +99,14 @@ class Family(Material):
         ``seed`` chooses the random walks, where f is estimated by walks; a family in closed
         form ignores it.
         """
+
+    def evaluator(self, c: Columns, seed: int) -> Callable[[Any, Columns, Columns], Any]:
+        """f as :func:`slices` evaluates it: ``(row, columns of those rows, wo) -> rgb``.
+
+        ``row`` are indices into ``c``. A family overrides it whose directions of one condition
+        can share work.
+        """
+        return lambda row, wide, wo: self.eval_columns(wide, wo, seed)
 
     def eval(self, condition: Tensor, wo: Tensor) -> Tensor:
         """See :meth:`Material.eval`."""

@@ -1,42 +1,30 @@
 r"""A rough dielectric interface over a medium over a diffuse base (Guo et al. 2018).
 
-Light is followed in optical depth alone, hence "position-free". All that happens below the
-interface forgets the azimuth (the medium scatters isotropically, the base is Lambertian, and
-no light comes back up without one of them), so a walk's state is the cosine ``mu`` (positive
-upward), the optical depth below the interface, and the rgb weight.
+Light is followed in optical depth alone, hence "position-free": see :mod:`.layered_walks`.
 """
 
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from collections.abc import Callable
+from typing import Any
 
 import drjit as dr
 
 from harness.columns.bridge import Columns, Float
 from harness.materials.families import ggx
 from harness.materials.families.dielectric import fresnel, masking, pass_through
-from harness.materials.families.hashing import exponential, generator_at
+from harness.materials.families.hashing import generator_at
+from harness.materials.families.layered_walks import Cosine, Layers, WayOut, connected, walk
 from harness.materials.families.parameters import LAYERED
 from harness.materials.families.walks import WalkFamily
 
-KEPT = 4.0
-"""A walk whose largest weight is below 1/KEPT ends or goes on with that weight."""
-
-
-class Layers(NamedTuple):
-    """The parameters of the rows; ``albedo`` of the medium is rgb, ``base`` is grey."""
-
-    eta: Float
-    alpha: Float
-    thickness: Float
-    albedo: Any
-    base: Float
-
-    @property
-    def roughness(self) -> ggx.Roughness:
-        """As the microfacets want it."""
-        return ggx.Roughness(self.alpha, self.alpha)
+NODES = 32
+"""Cosines at which a slice tabulates the radiance inside, equidistant in their square root."""
+TABLE_WALKS, TABLE_LANES = 8192, 16
+"""Walks of a slice's table, and how many lanes share them."""
+FACETS = 8
+"""Facets that refract ``wo``, for each point of a slice."""
 
 
 class Layered(WalkFamily):
@@ -73,9 +61,51 @@ class Layered(WalkFamily):
         layers, wi = self._unpacked(c)
         inside = wo[0] * wo[0] + wo[1] * wo[1] < 1
         out = ggx.above(dr.select(inside, wo[0], 0), dr.select(inside, wo[1], 0))
-        inner = _connected(wi, out, layers, self.generator(c, wo, seed), self.walks, inside)
+        rng = self.generator(c, wo, seed)
+        inner = connected(wi, WayOut(layers, out), layers, rng, self.walks, inside)
         f = _reflected(wi, out, layers) + inner / (self.walks * layers.eta * layers.eta)
         return dr.select(inside, f, 0)
+
+    def evaluator(self, c: Columns, seed: int) -> Callable[[Any, Columns, Columns], Any]:
+        """See :meth:`Family.evaluator`: all directions of a condition share its walks.
+
+        They see the radiance that rises to the interface, a function of one cosine. It is
+        tabulated from ``TABLE_WALKS`` walks and interpolated, so that a slice is smooth, and off
+        as a whole by what its table is; only the facets that ``wo`` is refracted by are drawn.
+        """
+        table = self._radiance(c, seed)
+
+        def evaluate(row: Any, wide: Columns, wo: Columns) -> Any:
+            layers, wi = self._unpacked(wide)
+            inside = wo[0] * wo[0] + wo[1] * wo[1] < 1
+            out = ggx.above(dr.select(inside, wo[0], 0), dr.select(inside, wo[1], 0))
+            rng, way = self.generator(wide, wo, seed), WayOut(layers, out)
+            inner = dr.zeros(type(layers.albedo))
+            for _ in range(FACETS):
+                mu, weight = way(rng.next_float32(), rng.next_float32())
+                inner += weight * _interpolated(table, row, mu)
+            f = _reflected(wi, out, layers) + inner / (FACETS * layers.eta * layers.eta)
+            return dr.select(inside, f, 0)
+
+        return evaluate
+
+    def _radiance(self, c: Columns, seed: int) -> Any:
+        """Radiance at the interface, rgb, at ``NODES`` cosines of each row, row by row."""
+        n, array = max(dr.width(column) for column in c), type(c[-1])
+        unsigned = dr.uint32_array_t(array)
+        lane = dr.arange(unsigned, n * NODES * TABLE_LANES)
+        row, node = lane // (NODES * TABLE_LANES), lane // TABLE_LANES % NODES
+        wide = [dr.gather(array, column, row) for column in c]
+        layers, wi = self._unpacked(wide)
+        # The same walks for all nodes: their errors agree, and the table is smooth.
+        where = [*self.values(wide).values(), *wide[-2:], array(lane % TABLE_LANES)]
+        walks = TABLE_WALKS // TABLE_LANES
+        going = dr.full(dr.mask_t(array), True, dr.width(lane))
+        mu = dr.square(array(node + 1) / NODES)
+        total = connected(wi, Cosine(mu), layers, generator_at(where, seed), walks, going)
+        table = dr.block_reduce(dr.ReduceOp.Add, total, TABLE_LANES) / TABLE_WALKS
+        dr.eval(table)
+        return table
 
     def walk_columns(self, c: Columns, u: Columns) -> tuple[Float, Float, Any]:
         """See :meth:`WalkFamily.walk_columns`."""
@@ -86,7 +116,7 @@ class Layered(WalkFamily):
         w = dr.select(reflects, first.mirrored, first.refracted)
         lost = (w.z > 0) != reflects
         weight = dr.select(lost, 0, masking(w.z, layers.alpha))
-        cos, inner = _walk(w.z, weight, layers, rng, ~(reflects | lost))
+        cos, inner = walk(w.z, weight, layers, rng, ~(reflects | lost))
         sin, turn = dr.sqrt(dr.maximum(1 - cos * cos, 0)), 2 * math.pi * rng.next_float32()
         sine, cosine = dr.sincos(turn)
         out = ggx.vector(sin * cosine, sin * sine, cos)
@@ -128,106 +158,10 @@ def _even_share(wi: Any, layers: Layers) -> Float:
     return (1 - reflectance) / (1 + reflectance)
 
 
-class Event(NamedTuple):
-    """One meeting of a walk, and its state (see the module's docstring) after it.
-
-    ``leaving`` is the cosine outside where the light has left through the interface, else zero.
-    Where it has met the interface and is lost, the weight is zero.
-    """
-
-    mu: Float
-    depth: Float
-    weight: Any
-    scattered: Any
-    at_base: Any
-    leaving: Float
-
-
-def _event(mu: Float, depth: Float, weight: Any, layers: Layers, rng: Any) -> Event:
-    """The next meeting; four random numbers."""
-    to = depth - exponential(rng) * mu
-    u1, u2, u3 = rng.next_float32(), rng.next_float32(), rng.next_float32()
-    at_base = (mu < 0) & (to >= layers.thickness)
-    at_top = (mu > 0) & (to <= 0)
-    scattered = ~(at_base | at_top)
-    # The interface, seen from below.
-    sine = dr.sqrt(dr.maximum(1 - mu * mu, 0))
-    below = ggx.vector(sine, dr.zeros(type(sine)), dr.abs(mu))
-    passage = pass_through(below, layers.roughness, 1 / layers.eta, u1, u2)
-    reflects = u3 < passage.reflectance
-    z = dr.select(reflects, passage.mirrored.z, -passage.refracted.z)
-    masked = dr.select(z > 0, masking(z, layers.alpha), 0)
-    leaving = dr.select(at_top & ~reflects, z, 0)
-    mu = dr.select(scattered, 1 - 2 * u1, dr.select(at_base, dr.sqrt(1 - u1), -z))
-    depth = dr.select(scattered, to, dr.select(at_base, layers.thickness, 0))
-    gain = dr.select(at_base, layers.base, masked)
-    weight = weight * dr.select(scattered, layers.albedo, gain)
-    return Event(mu, depth, weight, scattered, at_base, leaving)
-
-
-def _survival(weight: Any) -> Float:
-    """Probability to go on, one for weights above 1/KEPT."""
-    return dr.minimum(KEPT * dr.max(weight), 1)
-
-
-@dr.syntax
-def _walk(mu: Float, weight: Float, layers: Layers, rng: Any, active: Any) -> tuple[Float, Any]:
-    """From below the interface until it leaves: the cosine outside and the rgb weight.
-
-    Weight zero, and any cosine, where light is absorbed or lost, or ``active`` was not set.
-    """
-    depth, weight = dr.zeros(type(mu)), type(layers.albedo)(weight)
-    cos, out = dr.full(type(mu), 1), dr.zeros(type(layers.albedo))
-    # A thickness of nan is none; the walk must end.
-    going = active & (layers.thickness >= 0)
-    while dr.hint(going, mode="symbolic", label="layered walk"):
-        event = _event(mu, depth, weight, layers, rng)
-        out = dr.select(going & (event.leaving > 0), event.weight, out)
-        cos = dr.select(going & (event.leaving > 0), event.leaving, cos)
-        q = _survival(event.weight)
-        going &= (event.leaving <= 0) & (rng.next_float32() < q)
-        mu, depth, weight = event.mu, event.depth, event.weight / q
-    return cos, out
-
-
-@dr.syntax
-def _connected(wi: Any, wo: Any, layers: Layers, rng: Any, walks: int, inside: Any) -> Any:
-    """Sum over ``walks`` walks of eta^2 f_T, one loop over the events of all (as the conductor's).
-
-    Light that crosses the interface is not followed: the connections have counted it.
-    """
-    rough, eta = layers.roughness, layers.eta
-    color = type(layers.albedo)
-    going = inside & (layers.thickness >= 0)
-    left = dr.full(dr.uint32_array_t(wo.z), walks, dr.width(wo.z))
-    total = dr.zeros(color)
-    mu, depth, weight = dr.zeros(type(wo.z)), dr.zeros(type(wo.z)), dr.zeros(color)
-    mu_out, weight_out = dr.full(type(wo.z), 1), dr.zeros(type(wo.z))
-    begin = dr.mask_t(wo.z)(True)
-    while dr.hint(going, mode="symbolic", label="layered connections"):
-        # A walk begins with its entry and the way out of wo, and goes on with an event.
-        u = [rng.next_float32() for _ in range(4)]
-        enter = pass_through(wi, rough, eta, u[0], u[1])
-        leave = pass_through(wo, rough, eta, u[2], u[3])
-        mu_out = dr.select(begin, dr.abs(leave.refracted.z), mu_out)
-        weight_out = dr.select(begin, _transmitted(leave, layers), weight_out)
-        mu = dr.select(begin, enter.refracted.z, mu)
-        depth = dr.select(begin, 0, depth)
-        weight = dr.select(begin, color(_transmitted(enter, layers)), weight)
-        event = _event(mu, depth, weight, layers, rng)
-        seen = dr.select(event.scattered, 1 / (4 * math.pi * mu_out), 1 / math.pi)
-        seen *= weight_out * dr.exp(-event.depth / mu_out)
-        met = going & (event.scattered | event.at_base) & (seen > 0)
-        total += dr.select(met, event.weight * seen, 0)
-        q = _survival(event.weight)
-        begin = ~((event.leaving <= 0) & (rng.next_float32() < q))
-        mu, depth, weight = event.mu, event.depth, event.weight / q
-        left -= dr.select(begin, 1, 0)
-        going &= left > 0
-    return total
-
-
-def _transmitted(passage: Any, layers: Layers) -> Float:
-    """Weight of always taking the refracted ray."""
-    through = (1 - passage.reflectance) * masking(passage.refracted.z, layers.alpha)
-    return dr.select(passage.refracted.z < 0, through, 0)
+def _interpolated(table: Any, row: Any, mu: Float) -> Any:
+    """Radiance at the cosine ``mu``: linear in its square root, constant below the first node."""
+    at = dr.maximum(dr.sqrt(mu) * NODES - 1, 0)
+    low = dr.minimum(dr.uint32_array_t(mu)(at), NODES - 2)
+    first = row * NODES + low
+    a, b = (dr.gather(type(table), table, first + k) for k in (0, 1))
+    return dr.lerp(a, b, at - type(mu)(low))

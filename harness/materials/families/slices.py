@@ -50,6 +50,7 @@ def slices(family: Family, condition: Tensor, resolution: int, seed: int) -> Ten
         return total.view(n, resolution, resolution, 3).to(condition.dtype)
     with torch.inference_mode():
         c = columns_of(condition)
+        evaluate = family.evaluator(c, seed)
         for points, count in ((_even, STRATA**2), (_drawn, DRAWN)):
             for start in range(0, n * cells * count, LANES):
                 stop = min(start + LANES, n * cells * count)
@@ -63,7 +64,7 @@ def slices(family: Family, condition: Tensor, resolution: int, seed: int) -> Ten
                 even = 0.25 * STRATA**2 * cells
                 narrow = drawn > NARROW * even
                 weight = 1 / (even + dr.select(narrow, DRAWN * cells * drawn, 0))
-                f = family.eval_columns(wide, wo, seed)
+                f = evaluate(row, wide, wo)
                 if points is _drawn:
                     weight = dr.select(narrow, weight, 0)
                 cell = row * cells + _cell(wo, resolution)
