@@ -27,10 +27,11 @@ FLOWS = FITTED[4:6]
 ASKED = (
     "normal grazing-1e-2 grazing-1e-3 grazing-1e-4 grazing-1e-5 grazing-1e-6 horizontal"
     " specular-1e-1 specular-1e-2 specular-1e-3 specular-1e-4 anisotropic-100 below-horizon"
-    " rim-lobe distant-lobes constant black-texels black-hemisphere bright-pixel measured-holes"
-    " blue-only far-features untrained badly-trained large-outputs sigma-to-0 sigma-to-infinity"
-    " weights-to-0 uniform-to-0 bfloat16-weights u-corners bin-edges outside-disk nan-inputs"
-    " half-million-rows double-precision bfloat16-inputs"
+    " rim-lobe distant-lobes constant polished-disney polished-ggx-conductor polished-layered"
+    " black-texels black-hemisphere bright-pixel measured-holes blue-only far-features"
+    " untrained badly-trained large-outputs sigma-to-0 sigma-to-infinity weights-to-0"
+    " uniform-to-0 bfloat16-weights u-corners bin-edges outside-disk nan-inputs half-million-rows"
+    " double-precision bfloat16-inputs"
 ).split()
 
 
@@ -126,6 +127,21 @@ def test_horizontal_is_horizontal_in_any_precision():
 def test_normal_has_no_azimuth():
     rows = CATALOGUE["normal"].conditions(material(BASE), stream(), "cpu")[:, -2:]
     assert (rows[0] == 0).all() and 0 < rows[1].norm() < 1e-8
+
+
+@pytest.mark.parametrize("name", ["disney", "ggx-conductor", "layered"])
+def test_polished(name):
+    """The least roughness that is drawn, and the angles stated."""
+    own = material(name)
+    rows = CATALOGUE[f"polished-{name}"].conditions(own, stream(), "cpu")
+    cosine = (1 - rows[:, -2:].double().square().sum(1)).sqrt()
+    torch.testing.assert_close(cosine, torch.tensor([0.1, 0.01]).double(), rtol=0.02, atol=0)
+    at_low = [
+        p.name
+        for p, column in zip(own.parameters, rows.T, strict=False)
+        if (column == torch.tensor(p.low)).all()
+    ]
+    assert at_low == [p.name for p in own.parameters if p.name[:5] in ("alpha", "rough")]
 
 
 def test_far_features():

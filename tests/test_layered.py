@@ -61,7 +61,7 @@ def test_furnace(eta, depth):
     for wi in DIRECTIONS:
         row = torch.tensor(wi)
         wo, weight = exits(material, row, 1 << 13, 0)
-        assert inside_disk(wo).all()
+        assert torch.equal(inside_disk(wo), weight[:, 0] > 0)
         torch.testing.assert_close(weight.mean(0), torch.ones(3), rtol=0, atol=1e-3)
         total, error = albedo(material, row, 1 << 15, 1)
         assert ((total - 1).abs() <= 4 * error + 1e-3).all() and (error < 0.02).all()
@@ -71,9 +71,9 @@ def test_diffuse_light_stays_diffuse():
     """Cosine-weighted light leaves a lossless layer uniform on the disk, an absorbing one not."""
     depth = {"alpha": SMOOTH, "sigma_t": 1.5}
     wo, _ = diffuse_exits(layered(base=1.0, **depth, **CLEAR), 1 << 17, 2)
-    assert uniform_on_disk(wo).p_value > 1e-4
-    wo, weight = diffuse_exits(layered(base=0.2, **depth), 1 << 17, 2)
-    assert uniform_on_disk(wo[weight[:, 1] > 0]).p_value < 1e-12
+    assert uniform_on_disk(wo[inside_disk(wo)]).p_value > 1e-4
+    wo, _ = diffuse_exits(layered(base=0.2, **depth), 1 << 17, 2)
+    assert uniform_on_disk(wo[inside_disk(wo)]).p_value < 1e-12
 
 
 @settings(max_examples=20, deadline=None)
@@ -89,7 +89,8 @@ def test_no_energy_is_made(eta, alpha, depth, radius, turn):
     wi = [radius * math.cos(turn), radius * math.sin(turn)]
     material = layered(eta=eta, alpha=alpha, sigma_t=depth, base=1.0, **CLEAR)
     wo, weight = exits(material, torch.tensor(wi), 2048, 3)
-    assert wo.isfinite().all() and inside_disk(wo).all() and (weight >= 0).all()
+    assert wo.isfinite().all() and (weight >= 0).all()
+    assert torch.equal(inside_disk(wo), (weight > 0).any(1))
     total, error = mean(weight)
     assert (total <= 1 + 4 * error + 1e-4).all()
 
@@ -259,7 +260,7 @@ def test_rough_without_medium_is_a_path_through_mitsubas(alpha):
     wo, ours = exits(material, torch.tensor(wi), n, 18)
     cos, theirs = traced(alpha, base, wi, n)
     tables = []
-    for mu, weight in ((cos_theta(wo).double(), ours[:, 0].double()), (cos, theirs)):
+    for mu, weight in ((cos_theta(wo.double()), ours[:, 0].double()), (cos, theirs)):
         rows = torch.zeros(n, 16, dtype=torch.float64)
         rows[torch.arange(n), (mu.square() * 16).long().clamp(0, 15)] = weight
         tables.append((rows.mean(0), rows.std(0) / math.sqrt(n)))
@@ -314,7 +315,8 @@ def test_extremes_are_finite(alpha, depth, cosine):
     material = layered(alpha=alpha, sigma_t=depth)
     row = torch.tensor([math.sqrt(1 - cosine**2), 0.0])
     wo, weight = exits(material, row, 2048, 24)
-    assert inside_disk(wo).all() and weight.isfinite().all()
+    assert weight.isfinite().all() and inside_disk(wo).any()
+    wo = wo[inside_disk(wo)]
     condition = row.expand(len(wo), -1).contiguous()
     value = material.eval(condition, wo)
     assert value.isfinite().all() and (value >= 0).all()

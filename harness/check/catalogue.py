@@ -93,6 +93,16 @@ _CASES = (
     _material("rim-lobe", LOBE, "a narrow lobe on the disk's rim: a wet road against the sun"),
     _material("distant-lobes", LOBE, "five narrow lobes far apart, one of 1 %: sequins, cut glass"),
     _material("constant", LOBE, "f constant: chalk, where a lobe has nothing to fit"),
+    *(
+        HardCase(
+            f"polished-{family}",
+            LOBE,
+            f"{family} at its least roughness, seen at cos 0.1 and 0.01: a polished edge",
+            family,
+            at.polished,
+        )
+        for family in ("disney", "ggx-conductor", "layered")
+    ),
     _material(
         "black-texels",
         DATA,

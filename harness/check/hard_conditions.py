@@ -88,6 +88,13 @@ def black_and_lit(material: Material, generator: torch.Generator, device: str) -
     return torch.stack([places[~lit][0], places[lit][0]])
 
 
+def polished(material: Material, generator: torch.Generator, device: str) -> Tensor:
+    """Rows of a family: least roughness, everything else in the middle; wi at cos 0.1 and 0.01."""
+    low = [p.low if p.is_roughness else (p.low + p.high) / 2 for p in material.parameters]
+    rows = [[*low, *at_cosine(cosine)] for cosine in (0.1, 0.01)]
+    return torch.tensor(rows, device=device)
+
+
 def _placed(
     material: Material, wi: list[tuple[float, float]], generator: torch.Generator, device: str
 ) -> Tensor:

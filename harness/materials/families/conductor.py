@@ -72,8 +72,7 @@ class Conductor(WalkFamily):
             rng = generator_at(u, 0)
             depth = exponential(rng) * ggx.inverse_smith(-wi, alpha)
             w, weight = _walk(w, depth, weight, alpha, r0, rng)
-        x, y = ggx.on_disk(w)
-        return x, y, weight
+        return *ggx.on_disk(w, w.z > 0), weight
 
     def native_sample_columns(self, c: Columns, u: Columns) -> tuple[Float, Float, Float]:
         """Directions and density ``(x, y, pdf)`` per disk area; three uniforms."""

@@ -41,15 +41,15 @@ def above(x: Float, y: Float) -> Vector:
     return vector(x, y, dr.sqrt(dr.maximum(1 - x * x - y * y, 0)))
 
 
-def on_disk(w: Vector) -> tuple[Float, Float]:
-    """The point of the disk below ``w``, which lies above the horizon.
+def on_disk(w: Vector, valid: Any) -> tuple[Float, Float]:
+    """The point of the disk below ``w``; (2, 0), off the disk, where it is not valid.
 
     Rounding puts directions of less than some 3e-4 above the horizon on the rim, where there
     is none; light at grazing incidence leaves there. They are drawn in by 2.4e-7.
     """
     squared = w.x * w.x + w.y * w.y
     scale = dr.select(squared < 1 - 2.0**-23, 1, (1 - 2.0**-22) * dr.rsqrt(squared))
-    return scale * w.x, scale * w.y
+    return dr.select(valid, scale * w.x, 2), dr.select(valid, scale * w.y, 0)
 
 
 def spread(w: Vector, alpha: Roughness) -> Float:
@@ -126,9 +126,9 @@ def sample_mixture(wi: Vector, alpha: Roughness, even: Float, u: Columns) -> tup
     w = mirrored(wi, sample_visible(wi, alpha, u[1], u[2]))
     radius = dr.sqrt(u[1])
     sin, cos = dr.sincos(2 * math.pi * u[2])
-    lobe = u[0] >= even
-    x = dr.select(lobe, dr.select(w.z > 0, w.x, 2), radius * cos)
-    y = dr.select(lobe, dr.select(w.z > 0, w.y, 0), radius * sin)
+    lobe, up = u[0] >= even, w.z > 0
+    x = dr.select(lobe, dr.select(up, w.x, 2), radius * cos)
+    y = dr.select(lobe, dr.select(up, w.y, 0), radius * sin)
     return x, y
 
 

@@ -120,10 +120,9 @@ class Layered(WalkFamily):
         sin, turn = dr.sqrt(dr.maximum(1 - cos * cos, 0)), 2 * math.pi * rng.next_float32()
         sine, cosine = dr.sincos(turn)
         out = ggx.vector(sin * cosine, sin * sine, cos)
-        # A mirror direction below the horizon is lost; any valid one will do for a zero.
-        kept = reflects & ~lost
-        x, y = ggx.on_disk(dr.select(kept, w, out))
-        return x, y, dr.select(kept, weight, inner)
+        w = dr.select(reflects, w, out)
+        weight = dr.select(reflects, weight, inner)
+        return *ggx.on_disk(w, dr.max(weight) > 0), weight
 
     def native_sample_columns(self, c: Columns, u: Columns) -> tuple[Float, Float, Float]:
         """See :meth:`Family.native_sample_columns`."""

@@ -31,6 +31,11 @@ class Parameter:
     default: float | None = None
     """What it is fixed to unless ``fix`` says otherwise; None: it is free."""
 
+    @property
+    def is_roughness(self) -> bool:
+        """Whether its lower end makes a lobe narrow."""
+        return self.name.startswith(("alpha", "roughness"))
+
     def at(self, t: Tensor) -> Tensor:
         """Values [...] at ``t`` [...] in [0, 1], such that uniform ``t`` draws from the range."""
         if self.squared:

@@ -41,7 +41,9 @@ class WalkFamily(Family):
 
     @abstractmethod
     def walk_columns(self, c: Columns, u: Columns) -> tuple[Float, Float, Any]:
-        """``(x, y, weight)`` of one walk a row, the weight rgb; zero where the light is lost.
+        """``(x, y, weight)`` of one walk a row, the weight rgb.
+
+        Where all light is lost, the weight is zero and the point lies off the disk.
 
         A function of the three uniforms ``u``: the first meeting takes them, and random
         numbers hashed from their bits are all that follow.
