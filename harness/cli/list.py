@@ -37,7 +37,8 @@ def _registry(kind: str) -> tuple[list[str], Callable[[str], str]]:
     if kind == "materials":
         from harness.materials import registry as materials
 
-        return [*materials.names(), *materials.family_names()], materials.describe
+        named = [*materials.neural_names(), *materials.names(), *materials.family_names()]
+        return named, materials.describe
     if kind == "scenes":
         from harness.scenes import registry as scenes
 

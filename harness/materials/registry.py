@@ -9,6 +9,7 @@ A specification is a name, or a mapping::
     {name: rim-lobe,  type: hard}    # or its name alone: see harness.materials.hard
     {name: polished,  type: family,   family: disney, fix: {roughness: 0.1}}   # or disney alone
     {name: brushed,   type: family,   family: ggx-conductor, walks: 64}  # f: mean over 64 walks
+    {name: theirs,    type: neural,   file: theirs.ckpt}       # see harness.materials.neural
 
 Relative files are meant from ``base_dir`` (the folder of the suite), or the working folder.
 Neither Mitsuba nor Dr.Jit is loaded before :func:`make`.
@@ -25,6 +26,7 @@ from typing import Any
 
 from harness import mitsuba_xml
 from harness.materials import families, hard, measured, xml_bsdf
+from harness.materials.neural import files as neural
 from harness.microgeometry import btf_file
 from harness.protocol import InputError, Material, nearest
 from harness.source import covered, digest
@@ -36,7 +38,7 @@ Spec = str | Mapping[str, Any]
 
 
 def names() -> list[str]:
-    """Names of the named materials, sorted."""
+    """Names of the procedural materials, sorted."""
     return sorted(_named())
 
 
@@ -50,10 +52,17 @@ def family_names() -> list[str]:
     return sorted(families.FAMILIES)
 
 
+def neural_names() -> list[str]:
+    """Names of the neural materials that come with the harness, sorted."""
+    return list(neural.shipped())
+
+
 def describe(name: str) -> str:
     """One line about a named material, beginning with the regime it stands for."""
     if name in families.FAMILIES:
         return families.FAMILIES[name].about
+    if name in neural.shipped():
+        return neural.describe(neural.shipped()[name])
     if name in hard.MATERIALS:
         return hard.MATERIALS[name].about
     for node in ast.parse(_file(name).read_text(encoding="utf-8")).body:
@@ -110,6 +119,8 @@ def make(spec: Spec, base_dir: Path | str | None = None) -> Material:
         from harness.materials.btf import BtfMaterial
 
         return BtfMaterial(spec["name"], _path(spec, _base(base_dir)), what)
+    if _is(spec, "neural"):
+        return neural.make(spec["name"], _Neural.file(spec, _base(base_dir)), what)
     # Imported here, for it loads Mitsuba.
     from harness.materials.mitsuba_bsdf import MitsubaMaterial
 
@@ -260,6 +271,27 @@ class _Family:
         fix = {key: float(value) for key, value in spec.get("fix", {}).items()}
         walks = {"walks": spec["walks"]} if "walks" in spec else {}
         return {"type": "family", "family": family, "fix": fix, **walks, "source": source}
+class _Neural:
+    """``{name, type: neural, file}``; without a file, the shipped one of that name."""
+
+    def validate(self, spec: Mapping[str, Any], base: Path) -> None:
+        _only(spec, ("file",))
+        neural.check(self.file(spec, base), _where(spec))
+
+    def identity(self, spec: Mapping[str, Any], base: Path) -> dict[str, Any]:
+        return neural.identity(self.file(spec, base), _where(spec))
+
+    @staticmethod
+    def file(spec: Mapping[str, Any], base: Path) -> Path:
+        """The file that a specification means."""
+        if "file" in spec:
+            return _path(spec, base)
+        known = neural.shipped()
+        if spec["name"] not in known:
+            raise InputError(
+                f"unknown neural material '{spec['name']}'{nearest(spec['name'], known)}"
+            )
+        return known[spec["name"]]
 
 
 KINDS: dict[str, Any] = {
@@ -268,6 +300,7 @@ KINDS: dict[str, Any] = {
     "btf": _Btf(),
     "hard": _Hard(),
     "family": _Family(),
+    "neural": _Neural(),
 }
 
 
@@ -286,18 +319,21 @@ def _file(name: str) -> Path:
     known = _named()
     if name not in known:
         hint = nearest(name, [*known, *hard.MATERIALS, *families.FAMILIES])
+        hint = nearest(name, [*known, *hard.MATERIALS, *neural.shipped()])
         raise InputError(f"unknown material '{name}'{hint}")
     return known[name]
 
 
 def _in_full(spec: Spec) -> Spec:
-    """The bare name of a hard material or a family with its type; anything else as it is."""
+    """The bare name of a hard or neural material or a family with its type; else as it is."""
     bare = isinstance(spec, str) or (isinstance(spec, Mapping) and set(spec) == {"name"})
     name = spec if isinstance(spec, str) else spec["name"] if bare else None
     if isinstance(name, str) and name in hard.MATERIALS:
         return {"name": name, "type": "hard"}
     if isinstance(name, str) and name in families.FAMILIES:
         return {"name": name, "type": "family", "family": name}
+    if isinstance(name, str) and name in neural.shipped():
+        return {"name": name, "type": "neural"}
     return spec
 
 

@@ -6,6 +6,7 @@ Import this module after ``variant.use``: a Mitsuba class belongs to a variant.
 from __future__ import annotations
 
 import contextlib
+import functools
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
@@ -20,6 +21,25 @@ from harness.rendering.meter import Meter
 
 _OFFERED: dict[str, mi.BSDF] = {}
 _RELAY: list[Any] = []
+
+
+def _one_condition(query: Callable[..., Any]) -> Callable[..., Any]:
+    """Have the steps of a query share one condition, where a material's lookup is dear.
+
+    With a meter on, each step makes its own, so that what it costs is counted.
+    """
+
+    @functools.wraps(query)
+    def wrapped(self: SampledBSDF, ctx: Any, si: Any, *arguments: Any) -> Any:
+        if self.meter is not None or not self.eval_in_columns or self._untraceable():
+            return query(self, ctx, si, *arguments)
+        self.shared = self._condition(si)
+        try:
+            return query(self, ctx, si, *arguments)
+        finally:
+            self.shared = None
+
+    return wrapped
 
 
 class SampledBSDF(mi.BSDF):
@@ -40,11 +60,15 @@ class SampledBSDF(mi.BSDF):
         self.own_eval = type(method).eval is not Method.eval
         self.in_columns = isinstance(method, ColumnMethod)
         self.nested = getattr(material, "bsdf", None)
+        self.eval_in_columns = self.nested is None and hasattr(material, "eval_columns")
+        self.shared: Columns | None = None
         self.meter: Meter | None = None
         self.channels, self.weighed = 3, True
         flags = mi.BSDFFlags.GlossyReflection | mi.BSDFFlags.FrontSide
         if material.n_address + material.n_features:
             flags = flags | mi.BSDFFlags.SpatiallyVarying
+        if getattr(material, "needs_differentials", False):
+            flags = flags | mi.BSDFFlags.NeedsDifferentials
         self.m_components = [flags]
         self.m_flags = self.lobe = flags
 
@@ -62,6 +86,7 @@ class SampledBSDF(mi.BSDF):
             self.lobe = unweighed(self.m_flags)
             self.m_components, self.m_flags = [self.lobe], self.lobe
 
+    @_one_condition
     def sample(self, ctx: Any, si: Any, sample1: Any, sample2: Any, active: Any = True) -> Any:
         """A direction from three uniforms, and f cos / pdf."""
         if self._untraceable():
@@ -110,6 +135,7 @@ class SampledBSDF(mi.BSDF):
         above = self._above(si, wo, active)
         return dr.select(above, self._density(si, wo, above) * wo.z, 0)
 
+    @_one_condition
     def eval_pdf(self, ctx: Any, si: Any, wo: Any, active: Any = True) -> Any:
         """Both, as multiple importance sampling asks for them."""
         value, pdf = self.eval(ctx, si, wo, active), self.pdf(ctx, si, wo, active)
@@ -128,7 +154,8 @@ class SampledBSDF(mi.BSDF):
         Dr.Jit traces a call through every BSDF alive, whether or not it is in the scene that
         is rendered. What is then returned is infinite: no image with it looks fine.
         """
-        in_dr_jit = self.in_columns and self.nested is not None and not self.own_eval
+        evaluated = self.nested is not None or self.eval_in_columns
+        in_dr_jit = self.in_columns and evaluated and not self.own_eval
         return not in_dr_jit and dr.flag(dr.JitFlag.SymbolicScope)
 
     @staticmethod
@@ -136,6 +163,8 @@ class SampledBSDF(mi.BSDF):
         return mi.Mask(active) & (si.wi.z > 0) & (wo.z > 0)
 
     def _condition(self, si: Any) -> Columns:
+        if self.shared is not None:
+            return self.shared
         if hasattr(self.material, "condition_columns"):
             return self.material.condition_columns(si)
         n = dr.width(si.wi)
@@ -195,6 +224,10 @@ class SampledBSDF(mi.BSDF):
             value = self.nested.eval(ctx, si, wo, active)
             return value if self.channels == 3 else mi.Color3f(mi.luminance(value))
         c = self._condition(si)
+        if self.eval_in_columns and not self.own_eval:
+            rgb = mi.Color3f(*self.material.eval_columns(c, [wo.x, wo.y]))
+            rgb = rgb if self.channels == 3 else mi.Color3f(mi.luminance(rgb))
+            return dr.select(active, rgb * wo.z, 0)
 
         def value(rows: torch.Tensor) -> torch.Tensor:
             condition, direction = rows[:, : len(c)], rows[:, len(c) :]

@@ -1,0 +1,123 @@
+"""``harness material``: train a neural material from microgeometry, look at it, time it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+INTERRUPTED = 130
+
+
+def register(app: typer.Typer) -> None:
+    """Add the verb and its own verbs to ``app``."""
+    material = typer.Typer(help="Train, preview, show and time neural materials.")
+    app.add_typer(material, name="material", no_args_is_help=True)
+
+    @material.command()
+    def train(
+        description: Annotated[str, typer.Argument(help="Microgeometry: a .yaml file or a name.")],
+        out: Annotated[Path, typer.Option(help="File to write: NAME.safetensors.")],
+        profile: Annotated[
+            str, typer.Option(help="quick, full, quick-pyramid or full-pyramid.")
+        ] = "quick",
+        seed: Annotated[int, typer.Option(help="Of the weights, the queries and the batches.")] = 0,
+        resume: Annotated[bool, typer.Option("--resume", help="Go on from OUT's .train.")] = False,
+        device: Annotated[str, typer.Option(help="cpu or cuda.")] = "cpu",
+    ) -> None:
+        """Trace queries of a surface, fit the network to them, and store it with its record."""
+        from rich.console import Console
+        from rich.progress import Progress
+
+        from harness.materials.neural import recipe
+
+        _ready(device)
+        console = Console()
+        with Progress(console=console) as progress:
+            task = progress.add_task("", total=1.0)
+
+            def notify(text: str, share: float) -> None:
+                progress.update(task, description=text, completed=share)
+
+            try:
+                recipe.train(description, out, profile, seed, device, resume, notify)
+            except KeyboardInterrupt:
+                progress.stop()
+                console.print(f"interrupted; --resume goes on from {out.with_suffix('.train')}")
+                raise typer.Exit(INTERRUPTED) from None
+        _show(console, [out])
+
+    @material.command()
+    def show(
+        names: Annotated[
+            list[str] | None, typer.Argument(help="Materials or files; all shipped by default.")
+        ] = None,
+    ) -> None:
+        """Print how materials were trained and how well they answer."""
+        from rich.console import Console
+
+        from harness.materials.neural.files import shipped
+
+        _show(Console(), [_file(name) for name in names] if names else list(shipped().values()))
+
+    @material.command()
+    def preview(
+        name: Annotated[str, typer.Argument(help="A shipped material, or a file.")],
+        description: Annotated[
+            str | None, typer.Option(help="Its microgeometry; by default the one of its record.")
+        ] = None,
+        out: Annotated[Path | None, typer.Option(help="PNG; by default NAME-preview.png.")] = None,
+        size: Annotated[int, typer.Option(help="Pixels a side of each picture.")] = 256,
+        spp: Annotated[int, typer.Option(help="Paths per pixel of the truth.")] = 32,
+        device: Annotated[str, typer.Option(help="cpu or cuda.")] = "cpu",
+    ) -> None:
+        """Draw sphere, plane and slices of a material beside the path-traced truth."""
+        from rich.console import Console
+
+        from harness.materials.neural import preview as pictures
+
+        _ready(device)
+        file = _file(name)
+        written = pictures.write(file, description, out, size, spp, device)
+        Console(highlight=False).print(f"{written}", soft_wrap=True)
+
+    @material.command()
+    def bench(
+        name: Annotated[str, typer.Argument(help="A shipped material, or a file.")],
+        rows: Annotated[int, typer.Option(help="Directions.")] = 1 << 20,
+        rounds: Annotated[int, typer.Option(help="Interleaved rounds.")] = 11,
+        device: Annotated[str, typer.Option(help="cpu or cuda.")] = "cpu",
+    ) -> None:
+        """Time both stages beside a bare torch network of the decoder's size, in one run."""
+        from rich.console import Console
+
+        from harness.materials.neural import bench as timing
+
+        _ready(device)
+        Console().print(timing.table(_file(name), rows, rounds, device))
+
+
+def _ready(device: str) -> None:
+    from harness.runner import preflight
+
+    preflight.ready(device)
+
+
+def _file(name: str) -> Path:
+    """A shipped material's file, or the file itself."""
+    from harness.materials.neural.files import SUFFIXES, check, shipped
+    from harness.protocol import InputError, nearest
+
+    if name in shipped():
+        return shipped()[name]
+    if Path(name).suffix not in SUFFIXES:
+        raise InputError(f"unknown neural material '{name}'{nearest(name, shipped())}")
+    check(Path(name), f"material '{name}'")
+    return Path(name)
+
+
+def _show(console, files: list[Path]) -> None:
+    from harness.materials.neural.report import table
+
+    console.print(table(files))

@@ -1,0 +1,183 @@
+"""A neural material of the harness."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import drjit as dr
+import torch
+from torch import Tensor
+
+from harness.columns.bridge import Columns, Float, backend, columns_of, tensor_of
+from harness.materials.neural.column_lookup import ColumnTable
+from harness.materials.neural.network import NeuralMBTF
+from harness.materials.neural.offset import STEEPEST
+from harness.protocol import Material, square_to_disk
+from harness.protocol.disk import REC709
+
+EFFECTS = frozenset({"parallax", "prefiltering"})
+
+
+class NeuralMaterial(Material):
+    """A trained :class:`NeuralMBTF`: condition ``[features, wi.xy]``, no address.
+
+    Stage 1 makes a condition (:meth:`condition_at`, :meth:`condition_columns`), stage 2 is
+    :meth:`eval`; both also over columns, where a renderer runs them without leaving Dr.Jit.
+    Reflectance is never negative; it may be 0, for the papers end in a ReLU.
+
+    ``effects`` are those that the network can give and that are not switched off:
+    ``parallax`` if it has an offset, ``prefiltering`` if it has a pyramid, which then is looked
+    up at the footprint of the ray; without it, at its finest level.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        network: NeuralMBTF,
+        identity: dict[str, Any],
+        effects: frozenset[str] | None = None,
+    ):
+        self.name = name
+        self.network = network.eval().requires_grad_(False)
+        self._identity = identity
+        a = network.architecture
+        own = {"parallax": a.offset, "prefiltering": a.pyramid}
+        self._able = frozenset(effect for effect in EFFECTS if own[effect])
+        self.effects = self._able if effects is None else self._able & effects
+        self.n_features = a.channels
+        self._tables: dict[Any, tuple[ColumnTable, ColumnTable | None]] = {}
+
+    @property
+    def needs_differentials(self) -> bool:
+        """Whether a renderer has to say how large a pixel is on the surface."""
+        return "prefiltering" in self.effects
+
+    def with_effects(self, effects: frozenset[str]) -> NeuralMaterial:
+        """The same material with only those of its effects; the network is shared."""
+        return NeuralMaterial(self.name, self.network, self._identity, self._able & effects)
+
+    def identity(self) -> dict[str, Any]:
+        """See :meth:`Material.identity`."""
+        if self.effects == self._able:
+            return self._identity
+        return {**self._identity, "effects": sorted(self.effects)}
+
+    # --- stage 1 -------------------------------------------------------------------------------
+
+    def condition_at(self, uv: Tensor, wi: Tensor, level: Tensor | None = None) -> Tensor:
+        """Conditions [N, C + 2] at ``uv`` [N, 2] seen from ``wi`` [N, 2].
+
+        ``level`` [N] of detail as :func:`textures.level_of` counts it; the finest if not given.
+        """
+        if len(uv) == 0:
+            return uv.new_empty(0, self.n_condition)
+        columns = columns_of(level[:, None])[0] if level is not None else None
+        with torch.inference_mode():
+            features = self._features(columns_of(uv), columns_of(wi), columns)
+            found = tensor_of(*features, rows=len(uv)).view(len(uv), -1)
+        return torch.cat([found, wi.float()], 1)
+
+    def places(self, uv: Tensor) -> Tensor:
+        """Features [N, C] at ``uv``, seen from above: there nothing is moved."""
+        return self.condition_at(uv, torch.zeros_like(uv))[:, : self.n_features]
+
+    def conditions(self, n: int, generator: torch.Generator, device: str = "cpu") -> Tensor:
+        """``n`` random conditions: places uniform, ``wi`` uniform on the disk, levels uniform."""
+        u = torch.rand(n, 5, generator=generator).to(device)
+        level = None
+        if "prefiltering" in self.effects:
+            level = u[:, 4] * (self.network.architecture.levels - 1)
+        return self.condition_at(u[:, :2], square_to_disk(u[:, 2:4]), level)
+
+    def condition_columns(self, si: Any) -> Columns:
+        """The condition at surface interactions, as a renderer meets it.
+
+        The footprint's deviation is half the side of the square with the area that the ray's
+        differentials span in uv.
+        """
+        level = None
+        if "prefiltering" in self.effects:
+            dx, dy = si.duv_dx, si.duv_dy
+            area = dr.abs(dx.x * dy.y - dx.y * dy.x)
+            # A point has no footprint: log2(0) = -inf is below every level.
+            level = dr.log2(self.network.architecture.resolution * dr.sqrt(area))
+        wi = [si.wi.x, si.wi.y]
+        return [*self._features([si.uv.x, si.uv.y], wi, level), *wi]
+
+    def _features(self, uv: Columns, wi: Columns, level: Float | None) -> Columns:
+        net = self.network
+        table, offset_table = self._on(type(uv[0]))
+        if net.offset is not None and "parallax" in self.effects:
+            assert offset_table is not None
+            (depth,) = net.offset.network.columns([*offset_table.lookup(uv), *wi])
+            squared = 1 - wi[0] * wi[0] - wi[1] * wi[1]
+            # Off the disk there is no direction, nor a cosine; the bound is eq. 6's in any case.
+            cos = dr.sqrt(dr.maximum(squared, STEEPEST**2))
+            scale = depth / cos
+            uv = [dr.fma(scale, w, v) for w, v in zip(wi, uv, strict=True)]
+        return table.lookup(uv, level if "prefiltering" in self.effects else None)
+
+    def _on(self, array: type[Float]) -> tuple[ColumnTable, ColumnTable | None]:
+        """The textures as arrays of that type, made on first use."""
+        if array not in self._tables:
+            net, a = self.network, self.network.architecture
+            offset = None
+            if net.offset is not None:
+                offset = ColumnTable(net.offset.texture, net.offset.side, 1, array)
+            self._tables[array] = (
+                ColumnTable(net.texture, a.resolution, a.levels, array),
+                offset,
+            )
+        return self._tables[array]
+
+    # --- stage 2 -------------------------------------------------------------------------------
+
+    def eval(self, condition: Tensor, wo: Tensor) -> Tensor:
+        """See :meth:`Material.eval`."""
+        n = len(condition)
+        if n == 0:
+            return condition.new_empty(0, 3)
+        with torch.inference_mode():
+            return tensor_of(*self.eval_columns(columns_of(condition), columns_of(wo)), rows=n)
+
+    def eval_columns(self, c: Columns, wo: Columns) -> Columns:
+        """BSDF without cosine over columns: three of them."""
+        x, y = wo
+        raw = self.network.decoder.columns([x, y, *c[-2:], *c[:-2]])
+        inside = x * x + y * y < 1
+        if self.network.architecture.output == "log1p":
+            raw = [_expm1(v) for v in raw]
+        # maximum(v, 0 v), for maximum(v, 0) would turn nan into 0.
+        return [dr.select(inside, dr.maximum(v, 0 * v), 0) for v in raw]
+
+    def target(self, condition: Tensor, wo: Tensor) -> Tensor:
+        """See :meth:`Material.target`; fused."""
+        if len(condition) == 0:
+            return condition.new_empty(0)
+        with torch.inference_mode():
+            found = _luminance(self.eval_columns(columns_of(condition), columns_of(wo)))
+            return tensor_of(found, rows=len(condition))
+
+    def target_grid(self, condition: Tensor, wo: Tensor) -> Tensor:
+        """See :meth:`Material.target_grid`; rows and directions are gathered in the kernel."""
+        n, m = len(condition), wo.shape[1]
+        if n * m == 0:
+            return condition.new_empty(n, m)
+        module = backend(condition.device)
+        with torch.inference_mode():
+            c, points = columns_of(condition), columns_of(wo.reshape(-1, 2))
+            index = dr.arange(module.UInt, n * m)
+            row = index // m
+            point = index if len(wo) == n else index % m
+            wide = [dr.gather(module.Float, column, row) for column in c]
+            at = [dr.gather(module.Float, v, point) for v in points]
+            return tensor_of(_luminance(self.eval_columns(wide, at)), rows=n * m).view(n, m)
+
+
+def _luminance(rgb: Columns) -> Float:
+    return sum(w * v for w, v in zip(REC709, rgb, strict=True))
+
+
+def _expm1(v: Float) -> Float:
+    r"""e^v - 1 without cancellation near 0: :math:`\tanh(v / 2)\,(e^v + 1)`, exactly the same."""
+    return dr.select(dr.abs(v) < 0.5, dr.tanh(0.5 * v) * (dr.exp(v) + 1), dr.exp(v) - 1)

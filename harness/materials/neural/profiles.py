@@ -1,0 +1,52 @@
+"""How much a training may spend."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+from harness.materials.neural.architecture import NEUMIP, NEUSAMPLE, Architecture
+from harness.protocol import InputError, nearest
+
+
+@dataclass(frozen=True)
+class Profile:
+    """``queries`` random queries of ``samples`` paths each, then two stages of Adam.
+
+    The first takes ``steps`` steps of ``batch`` queries while a Gaussian blur of the textures, of
+    ``blur`` of a texture's width at first, decays: NeuMIP's 8 texels of 512, halved nine
+    times over. The second, ``final_steps`` steps of ``final_batch``, has no blur and a lower
+    step size, which falls to nothing. The step sizes are of the textures and of the networks.
+    """
+
+    architecture: Architecture
+    queries: int
+    samples: int
+    steps: int
+    batch: int
+    final_steps: int
+    final_batch: int
+    texture_rate: float = 2e-2
+    network_rate: float = 3e-3
+    final_share: float = 0.3
+    blur: float = 1 / 64
+    halvings: float = 9.0
+
+
+_SMALL = replace(NEUSAMPLE, resolution=128, offset_resolution=128)
+_SMALL_PYRAMID = replace(NEUMIP, resolution=128, offset_resolution=128)
+
+PROFILES = {
+    # Minutes on two cores.
+    "quick": Profile(_SMALL, 4 << 20, 2, 2500, 1 << 14, 400, 1 << 16),
+    "quick-pyramid": Profile(_SMALL_PYRAMID, 4 << 20, 2, 2500, 1 << 14, 400, 1 << 16),
+    # The papers' sizes: 300 queries a texel of 512^2, batches of a million. For a GPU.
+    "full": Profile(NEUSAMPLE, 80 << 20, 64, 27000, 1 << 20, 3000, 1 << 20),
+    "full-pyramid": Profile(NEUMIP, 80 << 20, 64, 27000, 1 << 20, 3000, 1 << 20),
+}
+
+
+def profile(name: str) -> Profile:
+    """The profile of that name; :class:`InputError` if there is none."""
+    if name not in PROFILES:
+        raise InputError(f"--profile: unknown profile '{name}'{nearest(name, PROFILES)}")
+    return PROFILES[name]

@@ -1,0 +1,107 @@
+"""From a description of microgeometry to a stored neural material, by one call."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import asdict
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from harness import machine, microgeometry
+from harness.materials.neural import storage
+from harness.materials.neural.profiles import PROFILES, Profile
+from harness.materials.neural.profiles import profile as find_profile
+from harness.materials.neural.quality import Held, footprints
+from harness.materials.neural.training import Data, Training
+from harness.microgeometry import queries
+from harness.microgeometry.description import read
+from harness.protocol import InputError
+
+Notify = Callable[[str, float], None]
+"""``notify(what is being done, share of the whole)``."""
+
+
+def train(
+    description: str | Path,
+    out: Path,
+    profile: str = "quick",
+    seed: int = 0,
+    device: str = "cpu",
+    resume: bool = False,
+    notify: Notify = lambda _text, _share: None,
+) -> dict[str, Any]:
+    """Train the material of a description and store it as ``out``; returns its record.
+
+    An interrupted training leaves ``out`` with the suffix ``.train`` beside it, from which
+    ``resume`` goes on; a finished one removes it.
+
+    Raises:
+        InputError: no such description, profile or file to resume from.
+        KeyboardInterrupt: interrupted; what was trained so far is stored.
+    """
+    if out.suffix != ".safetensors":
+        raise InputError(f"--out {out}: expected a name that ends in .safetensors")
+    chosen = find_profile(profile)
+    surface = microgeometry.load(description)
+    out.parent.mkdir(parents=True, exist_ok=True)
+    under_way = out.with_suffix(".train")
+    training = Training(chosen, seed, device)
+    labels = {"surface": str(surface.identity()), "profile": str(chosen), "device": device}
+    if resume:
+        if not under_way.is_file():
+            raise InputError(f"--resume: there is no {under_way} to go on from")
+        training.load(under_way, labels)
+    data, data_seconds = _data(surface, training, chosen, notify)
+
+    def step(done: int, loss: float) -> None:
+        notify(f"training, loss {loss:.4f}", done / training.total)
+        training.save(under_way, labels)
+
+    try:
+        training.run(data, step)
+    except KeyboardInterrupt:
+        training.save(under_way, labels)
+        raise
+    network = training.network.eval()
+    notify("measuring the errors", 1.0)
+    held = Held.draw(surface, seed, footprints(network), device=device)
+    single = held.measure(network)
+    record = {
+        "name": surface.name,
+        "about": getattr(read(microgeometry.find(description)), "about", ""),
+        "description": surface.identity(),
+        "profile": {"name": profile, **asdict(chosen)},
+        "seed": seed,
+        "finished": datetime.now(UTC).isoformat(timespec="seconds"),
+        "environment": machine.describe(device),
+        "data_seconds": round(data_seconds, 2),
+        "train_seconds": round(training.seconds, 2),
+        "steps": training.step,
+        "final_loss": training.history[-1],
+        "quality_in_single_precision": single.as_dict(),
+    }
+    # Twice: what is measured last is what is stored, with its textures rounded.
+    network.cpu()
+    storage.save(out, network, record)
+    record["quality"] = held.measure(storage.load(out).to(device)).as_dict()
+    storage.save(out, network, record)
+    under_way.unlink(missing_ok=True)
+    return record
+
+
+def _data(surface: Any, training: Training, profile: Profile, notify: Notify) -> tuple[Data, float]:
+    """The queries of the whole training, drawn anew after a resumption: the same ones."""
+    notify(f"tracing {profile.queries:,} queries", 0.0)
+    start = time.perf_counter()
+    kernel = footprints(training.network)
+    drawn = queries.draw(
+        surface, profile.queries, training.seed, kernel, profile.samples, device=training.device
+    )
+    return Data(*drawn), time.perf_counter() - start
+
+
+def known_profiles() -> list[str]:
+    """Names of the profiles."""
+    return list(PROFILES)

@@ -1,0 +1,55 @@
+"""How stored materials came to be and how well they answer, as a table."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from rich.table import Table
+
+from harness.materials.neural import storage
+from harness.protocol import InputError
+
+COLUMNS = ("material", "form", "R² of log(1+f)", "energy off by", "within 5 %", "mean energy",
+           "truth's noise", "trace", "train", "steps", "seed", "kB")  # fmt: skip
+
+
+def table(files: list[Path]) -> Table:
+    """One row a file; ``energy off by`` is the 95th percentile over conditions.
+
+    Raises:
+        InputError: a published checkpoint, which has no record.
+    """
+    found = Table(title="Neural materials", caption="errors on queries held out from training")
+    for i, name in enumerate(COLUMNS):
+        found.add_column(name, justify="left" if i < 2 else "right")
+    for file in files:
+        if file.suffix != ".safetensors":
+            raise InputError(f"{file}: a published checkpoint has no training record")
+        found.add_row(*cells(file))
+    return found
+
+
+def cells(file: Path) -> list[str]:
+    """The row of one file, a dagger where its record says nothing."""
+    record = storage.record(file)
+    quality = record.get("quality", {})
+
+    def number(source: dict, key: str, pattern: str) -> str:
+        return pattern.format(source[key]) if key in source else "†"
+
+    shape = record.get("profile", {}).get("architecture", {})
+    form = "pyramid" if shape.get("pyramid") else "one resolution"
+    return [
+        str(record.get("name", file.stem)),
+        form + (", offset" if shape.get("offset", True) else ""),
+        number(quality, "r2", "{:.3f}"),
+        number(quality, "energy_error", "{:.1%}"),
+        number(quality, "energy_within", "{:.0%}"),
+        number(quality, "energy_bias", "{:+.1%}"),
+        number(quality, "energy_noise", "{:.1%}"),
+        number(record, "data_seconds", "{:.0f} s"),
+        number(record, "train_seconds", "{:.0f} s"),
+        number(record, "steps", "{}"),
+        number(record, "seed", "{}"),
+        f"{file.stat().st_size / 1000:.0f}",
+    ]
