@@ -58,6 +58,8 @@ class Stored:
     seconds: float = 0.0
     traceback: str = ""
     folder: Path | None = None
+    shipped: str = ""
+    """Of a fit that was not run but came with the harness: the name of its file."""
 
     @cached_property
     def arrays(self) -> dict[str, np.ndarray]:
@@ -271,6 +273,7 @@ def _stored(path: Path) -> Stored:
             seconds=float(data["seconds"]),
             traceback=data.get("traceback", ""),
             folder=path.parent,
+            shipped=data.get("shipped", ""),
         )
     except (KeyError, TypeError, ValueError) as error:
         raise InputError(f"{path}: not a stored trial: {type(error).__name__} {error}") from None

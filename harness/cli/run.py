@@ -25,6 +25,9 @@ def register(app: typer.Typer) -> None:
         ] = None,
         executor: Annotated[str, typer.Option(help="local (dask is to come).")] = "local",
         retry: Annotated[str | None, typer.Option(help="failed: run failed trials again.")] = None,
+        refit: Annotated[
+            bool, typer.Option("--refit", help="Fit all anew, also what comes fitted.")
+        ] = False,
         dry_run: Annotated[bool, typer.Option("--dry-run", help="Only list the trials.")] = False,
         device: Annotated[str, typer.Option(help="cpu or cuda.")] = "cpu",
     ) -> None:
@@ -47,7 +50,7 @@ def register(app: typer.Typer) -> None:
         plan = make_plan(loaded, profile, device)
         results = out or Path("results") / plan.suite
         console = Console(highlight=False)
-        options = Options(only, executor, retry == "failed", dry_run)
+        options = Options(only, executor, retry == "failed", dry_run, refit)
         status = carry_out(plan, results, options, console)
         if not dry_run and status != INTERRUPTED:
             from harness import report

@@ -318,8 +318,8 @@ def _named() -> dict[str, Path]:
 def _file(name: str) -> Path:
     known = _named()
     if name not in known:
-        hint = nearest(name, [*known, *hard.MATERIALS, *families.FAMILIES])
-        hint = nearest(name, [*known, *hard.MATERIALS, *neural.shipped()])
+        others = [*hard.MATERIALS, *families.FAMILIES, *neural.shipped()]
+        hint = nearest(name, [*known, *others])
         raise InputError(f"unknown material '{name}'{hint}")
     return known[name]
 

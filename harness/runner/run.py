@@ -33,6 +33,7 @@ class Options:
     executor: str = "local"
     retry_failed: bool = False
     dry_run: bool = False
+    refit: bool = False
 
 
 def run(plan: Plan, results: Path, options: Options, console: Console) -> int:
@@ -41,18 +42,19 @@ def run(plan: Plan, results: Path, options: Options, console: Console) -> int:
     only = only_option.parse(options.only, plan)
     preflight.check_report(plan)
     if options.dry_run:
-        _list(plan, make_todo(plan, results, only, options.retry_failed), console)
+        todo = make_todo(plan, results, only, options.retry_failed, options.refit)
+        _list(plan, todo, console)
         return 0
     preflight.check_output(results)
     with store.locked(results):
         store.clean(results)
-        todo = make_todo(plan, results, only, options.retry_failed)
+        todo = make_todo(plan, results, only, options.retry_failed, options.refit)
         preflight.check_trials(plan, todo.trials)
         _write_plan(plan, results)
         _say(console, f"{results}: {_counted(todo)}")
         interrupted = False
         with Progress(console, todo.trials, todo.stored) as progress:
-            worker = Worker(plan, results, todo.stored, progress)
+            worker = Worker(plan, results, todo.stored, progress, options.refit)
             try:
                 execute.run(todo.units, worker.unit)
             except KeyboardInterrupt:

@@ -54,13 +54,20 @@ class Todo:
         return [trial for unit in self.units for trial in unit.trials]
 
 
-def make_todo(plan: Plan, results: Path, only: Only, retry_failed: bool = False) -> Todo:
+def make_todo(
+    plan: Plan, results: Path, only: Only, retry_failed: bool = False, refit: bool = False
+) -> Todo:
     """Compare ``plan`` with what ``results`` holds.
 
     A trial is done if it is stored as ok or unsupported, or as failed unless those are to
-    be tried again. One that was skipped is done as soon as it can be.
+    be tried again. One that was skipped is done as soon as it can be. With ``refit``, fits that
+    came with the harness, and what was measured with them, are to be done.
     """
     present = {h: store.load_trial(results, h) for h in _planned_and_stored(plan, results)}
+    if refit:
+        came = {h for h, found in present.items() if found.shipped}
+        came |= {t.hash for t in plan.trials if came & set(needed_fits(plan, t))}
+        present = {h: found for h, found in present.items() if h not in came}
     by_hash = {trial.hash: trial for trial in plan.trials}
     selected = [trial for trial in plan.trials if trial in only]
     open_: dict[str, Trial] = {}

@@ -25,6 +25,7 @@ from harness.measures.base import Job, Outcome
 from harness.measures.fit import restore
 from harness.measures.guard import BadAdapter
 from harness.protocol import BudgetExceeded, InputError, Material, Method, Unsupported
+from harness.runner import shipped
 from harness.runner.progress import Progress
 from harness.runner.todo import FINAL, Group, Unit
 from harness.store import Stored
@@ -35,8 +36,16 @@ from harness.suite.trials import FIT, Trial, stream_seed
 class Worker:
     """Does the work of one run. Materials, scenes and fitted methods are made once."""
 
-    def __init__(self, plan: Plan, results: Path, stored: dict[str, Stored], progress: Progress):
+    def __init__(
+        self,
+        plan: Plan,
+        results: Path,
+        stored: dict[str, Stored],
+        progress: Progress,
+        refit: bool = False,
+    ):
         self.plan, self.results, self.stored, self.progress = plan, results, stored, progress
+        self.refit = refit
         # Kept for the whole run: measures may remember something by the object.
         self.materials: dict[str, Material] = {}
         self.scenes: dict[str, Any] = {}
@@ -48,11 +57,24 @@ class Worker:
     def unit(self, unit: Unit) -> None:
         """Fit all methods to one material, then measure them."""
         for trial in unit.fits:
-            self._group(Group([trial]))
+            if not self._adopt(trial):
+                self._group(Group([trial]))
         for group in unit.groups:
             self._group(group)
         self.fitted.clear()
         gc.collect()
+
+    def _adopt(self, trial: Trial) -> bool:
+        """Store the fit that comes with the harness instead of running it, if there is one."""
+        path = None if self.refit else shipped.find(trial)
+        if path is None:
+            return False
+        outcome, about = shipped.load(path)
+        store.scratch(self.results, trial.hash)
+        self._save(
+            trial, outcome, about["started"], about["seconds"], about["environment"], path.name
+        )
+        return True
 
     # --- one call of a measure -----------------------------------------------------------------
 
@@ -199,12 +221,20 @@ class Worker:
 
     # --- storing -------------------------------------------------------------------------------
 
-    def _save(self, trial: Trial, outcome: Outcome, started: str, seconds: float) -> None:
+    def _save(
+        self,
+        trial: Trial,
+        outcome: Outcome,
+        started: str,
+        seconds: float,
+        environment: dict[str, Any] | None = None,
+        origin: str = "",
+    ) -> None:
         described = {
             "trial": trial.hash,
             "labels": trial.labels,
             "identity": trial.identity,
-            "environment": machine.describe(trial.budget.device),
+            "environment": environment or machine.describe(trial.budget.device),
             "started": started,
             "seconds": round(seconds, 3),
         }
@@ -212,6 +242,8 @@ class Worker:
             described["effects"] = self.choices[trial.hash]
         if trial.fit:
             described["fit"] = trial.fit
+        if origin:
+            described["shipped"] = origin
         try:
             try:
                 store.save_trial(self.results, described, outcome)
@@ -226,7 +258,8 @@ class Worker:
         except OSError as error:
             raise InputError(f"{self.results}: cannot be written: {error.strerror}") from error
         self.stored[trial.hash] = store.load_trial(self.results, trial.hash)
-        self.progress.finish(trial, outcome, seconds)
+        # What came ready says nothing about the time that is left.
+        self.progress.finish(trial, outcome, 0.0 if origin else seconds)
 
 
 def finished(outcome: Outcome) -> Outcome:

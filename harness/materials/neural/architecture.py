@@ -21,7 +21,9 @@ class Architecture:
     ``offset`` a second texture of ``offset_resolution`` and ``offset_channels`` and a network of
     its own move the lookup (eqs. 4-7). Both networks have ``layers`` hidden layers of ``width``.
     ``output`` is how the decoder's numbers y are read: as reflectance (``linear``) or as
-    log(1 + reflectance) (``log1p``, NeuMIP's compression).
+    log(1 + reflectance) (``log1p``, NeuMIP's compression). With ``half_vector`` the decoder also
+    sees the projection of the half vector of wi and wo, around which microfacet lobes lie; the
+    papers' do not.
     """
 
     resolution: int = 128
@@ -34,6 +36,7 @@ class Architecture:
     layers: int = 3
     activation: str = "leaky_relu"
     output: str = "linear"
+    half_vector: bool = False
 
     def __post_init__(self) -> None:
         for field in fields(self):
@@ -55,6 +58,11 @@ class Architecture:
     def levels(self) -> int:
         """Textures in the pyramid, 1 without one; level 0 is the finest."""
         return self.resolution.bit_length() if self.pyramid else 1
+
+    @property
+    def directions(self) -> int:
+        """Inputs of the decoder that are not features."""
+        return 6 if self.half_vector else 4
 
     def as_dict(self) -> dict[str, Any]:
         """As JSON data; inverse of :meth:`of`."""

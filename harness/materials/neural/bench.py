@@ -52,8 +52,8 @@ def run(material: NeuralMaterial, rows: int, rounds: int, device: str = "cpu") -
     c, points = columns_of(condition), columns_of(wo)
     uv, seen = columns_of(u[:, :2]), columns_of(wi)
     a = material.network.architecture
-    bare = _bare([4 + a.channels, *[a.width] * a.layers, 3]).to(device)
-    inputs = torch.cat([wo, wi, condition[:, :-2]], 1)
+    bare = _bare([a.directions + a.channels, *[a.width] * a.layers, 3]).to(device)
+    inputs = torch.rand(rows, a.directions + a.channels, generator=generator).to(device)
 
     def stage_1() -> None:
         tensor_of(*material._features(uv, seen, None), rows=rows)

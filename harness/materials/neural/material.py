@@ -143,12 +143,23 @@ class NeuralMaterial(Material):
     def eval_columns(self, c: Columns, wo: Columns) -> Columns:
         """BSDF without cosine over columns: three of them."""
         x, y = wo
-        raw = self.network.decoder.columns([x, y, *c[-2:], *c[:-2]])
+        half = self._half(c[-2:], wo) if self.network.architecture.half_vector else []
+        raw = self.network.decoder.columns([x, y, *c[-2:], *half, *c[:-2]])
         inside = x * x + y * y < 1
         if self.network.architecture.output == "log1p":
             raw = [_expm1(v) for v in raw]
         # maximum(v, 0 v), for maximum(v, 0) would turn nan into 0.
         return [dr.select(inside, dr.maximum(v, 0 * v), 0) for v in raw]
+
+    @staticmethod
+    def _half(wi: Columns, wo: Columns) -> Columns:
+        """:func:`harness.materials.neural.network.half_vector` over columns."""
+        # Off the disk there is no direction; the result there is masked.
+        z = [dr.sqrt(dr.maximum(1 - v[0] * v[0] - v[1] * v[1], 0)) for v in (wi, wo)]
+        total, up = [a + b for a, b in zip(wi, wo, strict=True)], z[0] + z[1]
+        squared = total[0] * total[0] + total[1] * total[1] + up * up
+        scale = dr.rsqrt(dr.select(squared == 0, 1, squared))
+        return [v * scale for v in total]
 
     def target(self, condition: Tensor, wo: Tensor) -> Tensor:
         """See :meth:`Material.target`; fused."""

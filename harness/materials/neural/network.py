@@ -13,6 +13,7 @@ from harness.materials.neural import textures
 from harness.materials.neural.architecture import Architecture
 from harness.materials.neural.offset import Offset
 from harness.nets import MLP
+from harness.protocol import cos_theta
 
 
 class NeuralMBTF(nn.Module):
@@ -29,7 +30,7 @@ class NeuralMBTF(nn.Module):
         self.texture = nn.Parameter(
             0.1 * torch.randn(textures.rows(a.resolution, a.levels), a.channels)
         )
-        self.decoder = MLP([4 + a.channels, *[a.width] * a.layers, 3], a.activation)
+        self.decoder = MLP([a.directions + a.channels, *[a.width] * a.layers, 3], a.activation)
 
     def blurred(self, sigma: float) -> tuple[Tensor, Tensor | None]:
         """Feature and offset tables after a Gaussian blur of ``sigma`` texels."""
@@ -63,7 +64,10 @@ class NeuralMBTF(nn.Module):
 
     def decode(self, features: Tensor, wi: Tensor, wo: Tensor) -> Tensor:
         """Stage 2 before its final ReLU: [N, 3], negative where the fit undershoots."""
-        raw = self.decoder(torch.cat([wo, wi, features], -1))
+        directions = [wo, wi]
+        if self.architecture.half_vector:
+            directions.append(half_vector(wi, wo))
+        raw = self.decoder(torch.cat([*directions, features], -1))
         return torch.expm1(raw) if self.architecture.output == "log1p" else raw
 
     def reflectance(self, features: Tensor, wi: Tensor, wo: Tensor) -> Tensor:
@@ -90,3 +94,12 @@ class NeuralMBTF(nn.Module):
             offset_sigma = sigma if offset_sigma is None else offset_sigma
             blurred = textures.blur(self.offset.texture, self.offset.side, offset_sigma)
             self.offset.texture.copy_(blurred)
+
+
+def half_vector(wi: Tensor, wo: Tensor) -> Tensor:
+    """Projection [N, 2] of the unit vector half way between two directions [N, 2]."""
+    z = cos_theta(wi) + cos_theta(wo)
+    total = wi + wo
+    squared = total.square().sum(-1) + z.square()
+    # Opposite directions on the horizon have none: their sum is 0, and 0 over 1 is as good.
+    return total * torch.where(squared > 0, squared, 1).rsqrt()[..., None]

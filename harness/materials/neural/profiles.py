@@ -30,6 +30,7 @@ class Profile:
     final_share: float = 0.3
     blur: float = 1 / 64
     halvings: float = 9.0
+    floor: float = 0.05
 
 
 _SMALL = replace(NEUSAMPLE, resolution=128, offset_resolution=128)

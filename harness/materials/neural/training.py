@@ -134,7 +134,7 @@ class Training:
         sigma = self.blur
         tables = self.network.blurred(sigma) if sigma > 0 else None
         value = self.network(batch.u, batch.wi, batch.wo, level, tables)
-        scale = value.detach().clamp(min=0) + FLOOR
+        scale = value.detach().clamp(min=0) + self.profile.floor
         return ((value - batch.f) / scale).square().mean()
 
     def _set_rates(self) -> None:

@@ -1,0 +1,69 @@
+"""``harness fit SUITE.yaml``: fit all methods of a suite and keep them with the harness."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+
+def register(app: typer.Typer) -> None:
+    """Add the verb to ``app``."""
+
+    @app.command()
+    def fit(
+        suite: Annotated[str, typer.Argument(help="A suite: a .yaml file, or a name of suites/.")],
+        results: Annotated[
+            Path | None, typer.Option(help="Results folder; by default results/<suite>.")
+        ] = None,
+        out: Annotated[
+            Path | None, typer.Option(help="Where the fits go; by default harness/fitted.")
+        ] = None,
+        profile: Annotated[
+            str | None, typer.Option(help="quick or full; by default quick.")
+        ] = None,
+        only: Annotated[
+            str | None, typer.Option(help="A part of it, such as material=A,method=B.")
+        ] = None,
+        retry: Annotated[str | None, typer.Option(help="failed: run failed trials again.")] = None,
+        device: Annotated[str, typer.Option(help="cpu or cuda.")] = "cpu",
+    ) -> None:
+        """Run the fits that are not stored yet, and keep all where later runs find them.
+
+        A run takes such a fit for its own, with the time that it took here and the machine it
+        took it on, unless it is told to --refit.
+        """
+        from rich.console import Console
+
+        from harness.protocol import InputError
+        from harness.runner import preflight, shipped
+        from harness.runner.run import INTERRUPTED, Options
+        from harness.runner.run import run as carry_out
+        from harness.store import load_trial, stored
+        from harness.suite.load import load
+        from harness.suite.plan import make_plan
+        from harness.suite.trials import FIT
+
+        if retry not in (None, "failed"):
+            raise InputError(f"--retry {retry}: expected 'failed'")
+        loaded = load(suite)
+        preflight.ready(device)
+        plan = make_plan(loaded, profile, device)
+        folder = results or Path("results") / plan.suite
+        console = Console(highlight=False)
+        chosen = f"{only},measure={FIT}" if only else f"measure={FIT}"
+        status = carry_out(
+            plan, folder, Options(chosen, "local", retry == "failed", refit=True), console
+        )
+        if status == INTERRUPTED:
+            raise typer.Exit(status)
+        from harness.runner.only import parse
+
+        wanted, there = parse(chosen, plan), set(stored(folder))
+        fits = [t for t in plan.trials if t in wanted and t.hash in there]
+        written = [shipped.save(t, load_trial(folder, t.hash), out or shipped.FOLDER) for t in fits]
+        size = sum(path.stat().st_size for path in written if path)
+        count = sum(path is not None for path in written)
+        console.print(f"{count} fitted samplers in {out or 'harness/fitted'}, {size / 1e6:.1f} MB")
+        raise typer.Exit(status)

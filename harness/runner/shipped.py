@@ -1,0 +1,126 @@
+"""Fitted samplers that come with the harness: a run measures with them instead of fitting.
+
+One file per fit, ``harness/fitted/MATERIAL--METHOD--KEY.safetensors``: the state, and in the
+metadata what the fit was (:func:`described`) and its record: seconds, machine, versions, loss.
+A trial that is answered from here keeps the stored record, with the machine and the time of
+day it was taken at, and says so under ``shipped``.
+"""
+
+from __future__ import annotations
+
+import json
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+from harness import registry
+from harness.measures.base import Outcome, Record
+from harness.protocol import InputError
+from harness.source import ROOT, digest, essence, read
+from harness.store import Stored
+from harness.suite.trials import FIT, Trial, hash_of
+
+FOLDER = ROOT / "harness" / "fitted"
+FORMAT = "fitted-sampler 1"
+_STATE, _ARRAY = "state.", "array."
+
+
+def described(trial: Trial) -> dict[str, Any]:
+    """What makes a fit the same fit, wherever and whenever it is run.
+
+    Material, method, parameters, budget and seed; of the source the adapter's own file. Not the
+    device, machine or versions, which the record names, nor the files that an adapter shares
+    with others: a state is data, and what they make of it is measured anew.
+    """
+    method = trial.identity["method"]
+    budget = {key: value for key, value in method["budget"].items() if key != "device"}
+    own = registry.find(trial.method_name).file
+    return {
+        "material": trial.identity["material"],
+        "method": {
+            "name": method["name"],
+            "params": method["params"],
+            "file": digest(essence(read(own))),
+            "budget": budget,
+        },
+        "seed": trial.seed,
+    }
+
+
+def key(trial: Trial) -> str:
+    """The hash that a stored fit is found by."""
+    return hash_of(described(trial))
+
+
+def find(trial: Trial, folder: Path = FOLDER) -> Path | None:
+    """The file that answers a fit, if there is one."""
+    return _index(folder).get(key(trial)) if trial.measure == FIT else None
+
+
+def load(path: Path) -> tuple[Outcome, dict[str, Any]]:
+    """A stored fit as its outcome, and its ``environment``, ``started`` and ``seconds``.
+
+    Raises:
+        InputError: the file is damaged.
+    """
+    from safetensors import SafetensorError, safe_open
+
+    try:
+        with safe_open(path, framework="pt") as file:
+            metadata = file.metadata() or {}
+            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+        if metadata.get("format") != FORMAT:
+            raise ValueError(f"format is {metadata.get('format')!r}")
+        about = json.loads(metadata["record"])
+        records = [Record(**record) for record in about.pop("records")]
+    except (OSError, SafetensorError, ValueError, KeyError, TypeError) as error:
+        raise InputError(f"{path}: not a fitted sampler: {error}; --refit does without") from None
+    arrays = {n.removeprefix(_ARRAY): t.numpy() for n, t in tensors.items() if n.startswith(_ARRAY)}
+    state = {n.removeprefix(_STATE): t for n, t in tensors.items() if n.startswith(_STATE)}
+    return Outcome(records=records, arrays=arrays, tensors=state), about
+
+
+def save(trial: Trial, stored: Stored, folder: Path = FOLDER) -> Path | None:
+    """Keep a fit that was run; None for one with nothing to keep (no state, or not ``ok``).
+
+    An older file of the same material and method is left: it answers another budget or seed.
+    """
+    from safetensors.torch import save_file
+
+    if stored.status != "ok" or not stored.has_state:
+        return None
+    state = stored.tensors()
+    if not state:
+        return None
+    import torch
+
+    tensors = {f"{_STATE}{name}": tensor.contiguous() for name, tensor in state.items()}
+    for name, array in stored.arrays.items():
+        tensors[f"{_ARRAY}{name}"] = torch.from_numpy(array).contiguous()
+    about = {
+        "records": stored.records,
+        "environment": stored.environment,
+        "started": stored.started,
+        "seconds": stored.seconds,
+        "source": stored.trial["method"]["source"],
+    }
+    metadata = {
+        "format": FORMAT,
+        "fit": json.dumps(described(trial), sort_keys=True),
+        "record": json.dumps(about, sort_keys=True),
+    }
+    folder.mkdir(parents=True, exist_ok=True)
+    path = folder / f"{trial.material}--{_plain(trial.method)}--{key(trial)}.safetensors"
+    save_file(tensors, path, metadata=metadata)
+    _index.cache_clear()
+    return path
+
+
+@lru_cache(maxsize=8)
+def _index(folder: Path) -> dict[str, Path]:
+    return {path.stem.rpartition("--")[2]: path for path in sorted(folder.glob("*.safetensors"))}
+
+
+def _plain(label: str) -> str:
+    """A method's label as part of a file name."""
+    return "".join(c if c.isalnum() or c in "-." else "_" for c in label).strip("_")
