@@ -6,6 +6,7 @@ import math
 import os
 import time
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -187,7 +188,7 @@ def install(setattr_: Any = setattr) -> None:
     for registry in (materials, scenes):
         setattr_(registry, "identity", _identity)
     setattr_(materials, "make", lambda spec: FakeMaterial(_name(spec)))
-    setattr_(scenes, "make", lambda spec: {"scene": spec})
+    setattr_(scenes, "make", lambda spec: SimpleNamespace(name=spec, effects=("environment",)))
     setattr_(measures, "_EXTRA", {measure.name: measure for measure in (Probe, Clock)})
     Probe.calls.clear()
     Clock.calls.clear()

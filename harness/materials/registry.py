@@ -271,6 +271,8 @@ class _Family:
         fix = {key: float(value) for key, value in spec.get("fix", {}).items()}
         walks = {"walks": spec["walks"]} if "walks" in spec else {}
         return {"type": "family", "family": family, "fix": fix, **walks, "source": source}
+
+
 class _Neural:
     """``{name, type: neural, file}``; without a file, the shipped one of that name."""
 

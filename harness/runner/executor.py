@@ -2,7 +2,7 @@
 
 A unit can go to any machine: it needs the plan, the names in it, and a results folder that
 the workers share or that is gathered afterwards. Timed measures must have their machine to
-themselves (see :func:`harness.runner.worker.timing_lock`).
+themselves (see :func:`harness.runner.turns.turn`).
 """
 
 from __future__ import annotations

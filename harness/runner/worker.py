@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-import fcntl
 import gc
 import math
-import os
-import tempfile
 import time
 import traceback
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -28,6 +24,7 @@ from harness.protocol import BudgetExceeded, InputError, Material, Method, Unsup
 from harness.runner import shipped
 from harness.runner.progress import Progress
 from harness.runner.todo import FINAL, Group, Unit
+from harness.runner.turns import turn
 from harness.store import Stored
 from harness.suite.plan import Plan
 from harness.suite.trials import FIT, Trial, stream_seed
@@ -89,7 +86,7 @@ class Worker:
         if not ready:
             return
         timed = ready[0].timed
-        with timing_lock(self.progress.note, alone=timed):
+        with turn(self.progress.note, alone=timed):
             self._measure(ready, group.extra if timed else None)
 
     def _blocked(self, trial: Trial) -> Outcome | None:
@@ -300,20 +297,3 @@ def _reason(error: BaseException) -> str:
 
 def _utc() -> str:
     return datetime.now(UTC).isoformat(timespec="seconds")
-
-
-@contextmanager
-def timing_lock(note: Callable[[str], None], alone: bool = True) -> Iterator[None]:
-    """One timing at a time per machine and user, whatever the results folder, and nothing beside.
-
-    Work that is not timed (``alone`` false) goes on together with other such work.
-    """
-    mode = fcntl.LOCK_EX if alone else fcntl.LOCK_SH
-    path = Path(tempfile.gettempdir()) / f"harness-timing-{os.getuid()}.lock"
-    with path.open("w") as file:
-        try:
-            fcntl.flock(file, mode | fcntl.LOCK_NB)
-        except BlockingIOError:
-            note("waiting: other work of ours runs on this machine")
-            fcntl.flock(file, mode)
-        yield
