@@ -7,7 +7,9 @@ import math
 import numpy as np
 import pytest
 import torch
+from matplotlib.image import imread
 
+from harness.microgeometry.__main__ import main
 from harness.microgeometry.preview import (
     develop,
     perspective,
@@ -112,3 +114,19 @@ def test_every_shot_is_a_possible_query(shots):
     for w in (shots.wi, shots.wo):
         assert (w.square().sum(1) < 1).all()
     assert (shots.kernel > 0).all() and (shots.weight >= 0).all()
+
+
+def test_the_commands(tmp_path, capsys):
+    small = ["--resolution", "32"]
+    picture = tmp_path / "sheet.png"
+    for arguments, status in (
+        (["sheet", str(picture), "--name", "leather", "--pixels", "12", "--spp", "1", *small], 0),
+        (["speed", "leather", "--count", "64", "--repeats", "2", *small], 0),
+        (["speed", "lether"], 2),
+    ):
+        with pytest.raises(SystemExit) as end:
+            main(arguments)
+        assert (end.value.code or 0) == status
+    said = capsys.readouterr()
+    assert imread(picture).shape[:2] == (12, 2 * 3 * 12)
+    assert "leather on cpu:" in said.out and "did you mean 'leather'" in said.err

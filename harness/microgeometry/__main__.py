@@ -74,9 +74,14 @@ def speed(
     )
 
 
-if __name__ == "__main__":
+def main(arguments: list[str] | None = None) -> None:
+    """Run the command line; a refused input is one line and status 2."""
     try:
-        app()
+        app(arguments)
     except InputError as error:
         print(error, file=sys.stderr)
         sys.exit(2)
+
+
+if __name__ == "__main__":
+    main()
