@@ -44,25 +44,25 @@ def lobe_slice(name: str, n: int = 64, floor: float = 0.0) -> Slice:
 
 
 @settings(max_examples=20, deadline=None)
-@given(side=st.integers(2, 9), seed=st.integers(0, 2**20), exact=st.booleans())
-def test_plan_is_a_bijection_near_the_optimum(side, seed, exact):
+@given(side=st.integers(2, 9), seed=st.integers(0, 2**20), refine=st.booleans())
+def test_plan_is_a_bijection_near_the_optimum(side, seed, refine):
     """Against an independent solver of the assignment problem."""
     rng = np.random.default_rng(seed)
     points = rng.normal(size=(side * side, 2)) * rng.random(2)
-    plan = transport(points, exact=exact)
+    plan = transport(points, refine=refine)
     assert np.array_equal(np.sort(plan), np.arange(side * side))
     distance = np.square(grid(side)[:, None] - points[None]).sum(-1)
     rows, columns = linear_sum_assignment(distance)
     best = distance[rows, columns].mean()
-    # A handful of points has local optima that a slice of a BSDF has not; exact is exact.
-    assert best * (1 - 1e-9) <= cost(points, plan) <= best * (1 + (1e-7 if exact else 0.1))
+    # Of a handful of points an exchange misses more than of the many of a slice.
+    assert best * (1 - 1e-9) <= cost(points, plan) <= best * (1 + (0.01 if refine else 0.1))
 
 
 @lobes
 def test_fast_plan_is_near_the_exact_one(lobe):
     """What it is off by falls with the number of points; 32^2 is for the speed of the test."""
     points = equal_points(lobe_slice(lobe), 32**2)
-    exact, fast = (cost(points, transport(points, exact=e)) for e in (True, False))
+    exact, fast = (cost(points, transport(points, refine=e)) for e in (True, False))
     assert exact <= fast < 1.03 * exact
 
 
@@ -88,7 +88,7 @@ def test_transport_is_monotone():
 @lobes
 def test_transported_points_reproduce_the_slice(lobe):
     """Chi-square of the map's cells against the slice, which they fill more evenly than chance."""
-    slice_, n = lobe_slice(lobe), 48
+    slice_, n = lobe_slice(lobe), 32
     wo = make_map(slice_, n).wo.reshape(-1, 2)
     assert (np.square(wo).sum(1) <= 1 + 1e-12).all()
     expected = coarse(slice_.mass, 16)
