@@ -13,7 +13,7 @@ from torch import Tensor, nn
 
 from harness.columns import ColumnMethod, Columns, Float
 from harness.fitting import ModuleMethod
-from harness.fitting.precision import PRECISIONS, checked_precision
+from harness.fitting.precision import PRECISIONS, checked_precision, round_weights
 from harness.fitting.train import minimise
 from harness.importance_maps.database import BakeSettings, Maps
 from harness.importance_maps.training import MapBatches, maps_for
@@ -146,14 +146,9 @@ class ImportanceBaked(ModuleMethod, ColumnMethod):
             return self.baked_loss(batches, budget, generator, left[0] / budget.steps)
 
         report = minimise(self.module, loss, batches, budget, learning_rate=self.learning_rate)
-        self._round()
+        round_weights(self.module, self.precision)
         report.notes = _notes(maps)
         return report
-
-    def _round(self) -> None:
-        from harness.fitting.precision import round_weights
-
-        round_weights(self.module, self.precision)
 
     def baked_loss(
         self, batches: MapBatches, budget: Budget, generator: torch.Generator, left: float

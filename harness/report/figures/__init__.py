@@ -14,6 +14,7 @@ from harness.report.figures.convergence import convergence
 from harness.report.figures.effects import effects
 from harness.report.figures.heatmap import heatmap
 from harness.report.figures.images import images
+from harness.report.figures.importance_maps import importance_maps
 from harness.report.figures.materials import materials
 from harness.report.figures.pareto import pareto
 from harness.report.figures.slices import slices
@@ -29,6 +30,7 @@ FIGURES: dict[str, Callable[[Results, Canvas], list[Drawn] | str]] = {
     "slices": slices,
     "images": images,
     "heatmap": heatmap,
+    "importance-maps": importance_maps,
     "effects": effects,
 }
 
