@@ -192,9 +192,10 @@ def _efficiency(
         wo = wo.to(subject.device)
         pdf = subject.pdf(case.rows(len(wo)), wo).detach().double().cpu()
         target = torch.from_numpy(reflectance(subject, case, wo))
-        # Where p = 0 < f the weight is infinite, and the efficiency zero; but see `weights`.
-        counts = (target > cap * pdf) & ((pdf != 0) | (wo.square().sum(-1) < 1 - RIM).cpu())
-        return torch.where(counts, target.square() / pdf, 0)
+        # Where p = 0 < f the weight is infinite, and the efficiency zero. On the rim itself
+        # rounding decides whether f and each part of p are there at all.
+        inside = (wo.square().sum(-1) < 1 - RIM).cpu()
+        return torch.where(inside & (target > cap * pdf), target.square() / pdf, 0)
 
     rest = evaluate(square, furnace.cells, rng).mass.sum()
     return float(furnace.whole**2 / (np.square(weight[weight <= cap]).sum() / len(weight) + rest))
