@@ -293,3 +293,18 @@ def test_disney_on_a_surface_is_its_row():
     torch.testing.assert_close(
         tensor_of(*f, rows=512), material.eval(condition, wo), rtol=1e-4, atol=1e-6
     )
+
+
+def test_the_speed_command(monkeypatch, capsys):
+    """Prints one line a case, with seven figures; what they are is no matter of a test."""
+    from harness.materials.families import speed
+
+    sizes = {"RESOLUTION": 8, "WALKS": 256, "EVALUATIONS": 64}
+    for name, value in sizes.items():
+        monkeypatch.setattr(speed, name, value)
+    monkeypatch.setattr("sys.argv", ["speed", "--rounds", "1"])
+    speed.main()
+    head, *lines = capsys.readouterr().out.splitlines()
+    assert len(lines) == len(speed.CASES) and "slice s" in head
+    for line, name in zip(lines, speed.CASES, strict=True):
+        assert line.startswith(name) and len(line[24:].split()) == 7
