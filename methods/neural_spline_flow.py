@@ -35,13 +35,14 @@ class SplineFlow(nn.Module):
         bins: int,
         couplings: int,
         frequencies: int,
+        lambertian: bool = False,
     ):
         super().__init__()
         self.encoder = ConditionEncoder(material.n_address, material.n_features)
         encoded, numbers = self.encoder.width, spline.outputs(bins)
-        self.base = MLP([encoded, width, 4], "leaky_relu", zero_last=True)
+        self.base = MLP([encoded, width, 5 if lambertian else 4], "leaky_relu", zero_last=True)
         with torch.no_grad():
-            self.base.layers[-1].bias[2:] = _START
+            self.base.layers[-1].bias[2:4] = _START
         self.couplings = nn.ModuleList(
             CouplingNet(encoded, width, numbers, frequencies, layers) for _ in range(couplings)
         )
@@ -81,6 +82,12 @@ class NeuralSplineFlow(FlowMethod):
     0 is the flow as published. The last network runs again at the rounded sample, so that its
     density is bit for bit the one :meth:`pdf` gives.
 
+    ``lambertian=True`` has the base's network give that share too, from ``uniform`` up to one,
+    condition by condition: the Lambertian lobe that the analytic mixtures have. With splines at
+    the identity the flow is then the improved baseline, and what the splines add can only help;
+    without, it has to bend a Gaussian into a flat disk with a sharp rim where a material is
+    near-diffuse.
+
     ``couplings`` is how many splines in turn, x first; the paper has two. Each more is another
     network to run, twice a sample.
 
@@ -111,6 +118,7 @@ class NeuralSplineFlow(FlowMethod):
         layers: int = 2,
         couplings: int = 2,
         precision: str = "float32",
+        lambertian: bool = False,
     ):
         if not 2 <= bins < 500:
             raise InputError(f"{self.name}: bins is {bins}; expected 2 to 499")
@@ -125,12 +133,19 @@ class NeuralSplineFlow(FlowMethod):
         self.couplings = couplings
         self.square = domain == "square"
         self.uniform = defensive.checked_share(uniform, self.name)
+        self.lambertian = lambertian
         self.precision = checked_precision(precision, self.name)
 
     def build(self, material: Material) -> nn.Module:
         """See :meth:`ModuleMethod.build`."""
         return SplineFlow(
-            material, self.width, self.layers, self.bins, self.couplings, self.frequencies
+            material,
+            self.width,
+            self.layers,
+            self.bins,
+            self.couplings,
+            self.frequencies,
+            self.lambertian,
         )
 
     def extremes(self) -> dict[str, dict[str, Tensor]]:
@@ -141,10 +156,14 @@ class NeuralSplineFlow(FlowMethod):
             for name, raw in (("scale-to-0", -FAR), ("scale-to-infinity", FAR))
         }
 
+    def share_logit(self, net: SplineFlow, condition: Tensor) -> Tensor | None:
+        """See :meth:`FlowMethod.share_logit`."""
+        return net.base(net.encoder(condition))[:, 4:] if self.lambertian else None
+
     def to_base(self, net: SplineFlow, condition: Tensor, wo: Tensor) -> tuple[Tensor, Tensor]:
         """See :meth:`FlowMethod.to_base`."""
         encoded = net.encoder(condition)
-        mean, raw = net.base(encoded)[:, None].chunk(2, -1)
+        mean, raw = net.base(encoded)[:, None, :4].chunk(2, -1)
         log_sigma = lobes.log_sigma(raw)
         at = list(wo.unbind(-1))
         log_slope = -log_sigma.sum(-1)
@@ -161,7 +180,7 @@ class NeuralSplineFlow(FlowMethod):
     def from_base(self, net: SplineFlow, condition: Tensor, z: Tensor) -> Tensor:
         """See :meth:`FlowMethod.from_base`."""
         encoded = net.encoder(condition)
-        mean, raw = net.base(encoded)[:, None].chunk(2, -1)
+        mean, raw = net.base(encoded)[:, None, :4].chunk(2, -1)
         at = list((mean + z * torch.exp(lobes.log_sigma(raw))).unbind(-1))
         for i in range(self.couplings - 1, -1, -1):
             own, other = i % 2, 1 - i % 2
@@ -174,8 +193,8 @@ class NeuralSplineFlow(FlowMethod):
         """See :meth:`ColumnMethod.sample_columns`."""
         net = self.module
         encoded = net.encoder.columns(c)
-        mean, log_sigma = base = self._base(encoded)
-        elsewhere = u[2] < self.uniform
+        mean, log_sigma, share = base = self._base(encoded)
+        elsewhere = u[2] < share
         there = defensive.uniform_disk_columns(u)
         at = [
             dr.fma(z, dr.exp(s), m)
@@ -206,15 +225,18 @@ class NeuralSplineFlow(FlowMethod):
         squared = (1 - y) * (1 + y)
         return dr.sqrt(dr.select(squared > 0, squared, 1))
 
-    def _base(self, encoded: Columns) -> tuple[Columns, Columns]:
-        """The Gaussian's mean and log sigma."""
+    def _base(self, encoded: Columns) -> tuple[Columns, Columns, Float | float]:
+        """The Gaussian's mean and log sigma, and the uniform share."""
         out = self.module.base.columns(encoded)
-        return out[:2], [lobes.log_sigma_columns(raw) for raw in out[2:]]
+        share = self.uniform
+        if self.lambertian:
+            share = defensive.share_columns(out[4], self.uniform)
+        return out[:2], [lobes.log_sigma_columns(raw) for raw in out[2:4]], share
 
     def _density(
         self,
         encoded: Columns,
-        base: tuple[Columns, Columns],
+        base: tuple[Columns, Columns, Float | float],
         numbers: Columns,
         chord: Float,
         wo: Columns,
@@ -227,10 +249,10 @@ class NeuralSplineFlow(FlowMethod):
             coupling = self.module.couplings[i]
             at[own], slope_own = spline.warp_columns(coupling.columns(at[other], encoded), at[own])
             slope = slope * slope_own
-        (mx, my), (sx, sy) = base
+        (mx, my), (sx, sy), share = base
         zx, zy = (at[0] - mx) * dr.exp(-sx), (at[1] - my) * dr.exp(-sy)
         normal = dr.exp(-0.5 * dr.fma(zx, zx, zy * zy) - sx - sy - lobes.LOG_2PI)
-        return defensive.mixed_columns(normal * (slope / chord), wo, self.uniform)
+        return defensive.mixed_columns(normal * (slope / chord), wo, share)
 
 
 def _log_chord(y: Tensor) -> Tensor:

@@ -206,7 +206,7 @@ def test_no_rows():
 
 def test_effects_are_those_the_network_has_and_can_be_left_out():
     whole = material(PYRAMID)
-    assert whole.effects == {"parallax", "prefiltering"} and whole.needs_differentials
+    assert whole.effects == {"parallax", "prefiltering"} and whole.prefilters
     assert material().effects == {"parallax"}
     flat = whole.with_effects(frozenset({"texture", "prefiltering"}))
     assert flat.effects == {"prefiltering"}

@@ -59,7 +59,14 @@ class FlowMethod(ModuleMethod, ColumnMethod):
         """Log density [B, D]."""
         z, log_slope = self.to_base(self.module, condition, wo)
         flow = -0.5 * z.square().sum(-1) - lobes.LOG_2PI + log_slope
-        return defensive.log_mixed(flow, wo, self.uniform)
+        raw = self.share_logit(self.module, condition)
+        if raw is None:
+            return defensive.log_mixed(flow, wo, self.uniform)
+        return defensive.log_mixed_logit(flow, wo, raw, self.uniform)
+
+    def share_logit(self, net: nn.Module, condition: Tensor) -> Tensor | None:
+        """Logit [B, 1] of what a condition adds to the uniform share; None where it is fixed."""
+        return None
 
     @torch.no_grad()
     def inverse(self, condition: Tensor, wo: Tensor) -> Tensor:
@@ -67,8 +74,12 @@ class FlowMethod(ModuleMethod, ColumnMethod):
         net = copy.deepcopy(self.module).double()
         z, _ = self.to_base(net, condition.double(), wo[:, None].double())
         u = uniforms_of_normal(z[:, 0])
+        share = torch.full_like(u[:, :1], self.uniform)
+        raw = self.share_logit(net, condition.double())
+        if raw is not None:
+            share = self.uniform + (1 - self.uniform) * torch.sigmoid(raw)
         # The middle of what is not the uniform share's.
-        return torch.cat([u, torch.full_like(u[:, :1], (1 + self.uniform) / 2)], 1)
+        return torch.cat([u, (1 + share) / 2], 1)
 
     def fit(self, material: Material, budget: Budget, generator: torch.Generator) -> FitReport:
         """See :meth:`Method.fit`.

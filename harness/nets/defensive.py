@@ -37,7 +37,23 @@ def log_mixed(log_prob: Tensor, wo: Tensor, share: float) -> Tensor:
     return torch.where(inside_disk(wo), lit, log_prob + math.log1p(-share))
 
 
-def mixed_columns(pdf: Float, wo: Columns, share: float) -> Float:
+def log_mixed_logit(log_prob: Tensor, wo: Tensor, raw: Tensor, least: float) -> Tensor:
+    """:func:`log_mixed` with the share ``least + (1 - least) sigmoid(raw)``, ``raw`` [..., 1]."""
+    # In logarithms, so that a share near 0 or 1 keeps its gradient.
+    rest = torch.nn.functional.logsigmoid(-raw) + math.log1p(-least)
+    part = torch.nn.functional.logsigmoid(raw) + math.log1p(-least)
+    if least > 0:
+        part = torch.logaddexp(part, torch.full_like(part, math.log(least)))
+    lit = torch.logaddexp(log_prob + rest, (part - math.log(math.pi)).expand_as(log_prob))
+    return torch.where(inside_disk(wo), lit, log_prob + rest)
+
+
+def share_columns(raw: Float, least: float) -> Float:
+    """That share over a column; by tanh, which does not overflow."""
+    return dr.fma(0.5 * (1 - least), dr.tanh(0.5 * raw), 0.5 * (1 + least))
+
+
+def mixed_columns(pdf: Float, wo: Columns, share: Float | float) -> Float:
     """The mixture's density from q at ``wo``."""
     x, y = wo
     uniform = dr.select(dr.fma(x, x, y * y) < 1, type(x)(share / math.pi), 0)

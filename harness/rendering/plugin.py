@@ -60,15 +60,16 @@ class SampledBSDF(mi.BSDF):
         self.own_eval = type(method).eval is not Method.eval
         self.in_columns = isinstance(method, ColumnMethod)
         self.nested = getattr(material, "bsdf", None)
-        self.eval_in_columns = self.nested is None and hasattr(material, "eval_columns")
+        self.eval_in_columns = self.nested is None and getattr(
+            material, "renders_in_columns", False
+        )
         self.shared: Columns | None = None
+        self.spread = 0.0
         self.meter: Meter | None = None
         self.channels, self.weighed = 3, True
         flags = mi.BSDFFlags.GlossyReflection | mi.BSDFFlags.FrontSide
         if material.n_address + material.n_features:
             flags = flags | mi.BSDFFlags.SpatiallyVarying
-        if getattr(material, "needs_differentials", False):
-            flags = flags | mi.BSDFFlags.NeedsDifferentials
         self.m_components = [flags]
         self.m_flags = self.lobe = flags
 
@@ -165,6 +166,8 @@ class SampledBSDF(mi.BSDF):
     def _condition(self, si: Any) -> Columns:
         if self.shared is not None:
             return self.shared
+        if getattr(self.material, "prefilters", False):
+            return self.material.condition_columns(si, self.spread)
         if hasattr(self.material, "condition_columns"):
             return self.material.condition_columns(si)
         n = dr.width(si.wi)

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal
 
+import drjit as dr
 import mitsuba as mi
 import numpy as np
 
@@ -160,8 +161,21 @@ def _placed(
         for light in loaded.emitters():
             assert isinstance(light, counted_light.CountedLight)
             light.meter = meter
+    for bsdf in (placed, *made.values()):
+        if isinstance(bsdf, plugin.SampledBSDF):
+            bsdf.spread = pixel_angle(loaded.sensors()[0])
     integrator = build.integrator(recipe)
     return Prepared(loaded, integrator, placed, False, recipe, meter, tuple(kept))
+
+
+def pixel_angle(sensor: mi.Sensor) -> float:
+    """Radians between the rays of two neighbouring pixels in the middle of the picture."""
+    step = 1 / int(sensor.film().size()[0])
+    rays = [
+        sensor.sample_ray(0.0, 0.5, mi.Point2f(0.5 + shift, 0.5), mi.Point2f(0.5))[0]
+        for shift in (0.0, step)
+    ]
+    return float(dr.norm(dr.cross(rays[0].d, rays[1].d))[0])
 
 
 def _material(key: str, spec: MaterialSpec | None) -> Material:

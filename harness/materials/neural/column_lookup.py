@@ -41,7 +41,8 @@ class ColumnTable:
         level = dr.clip(level, 0, self.levels - 1)
         lower = dr.minimum(dr.floor(level), self.levels - 2)
         share = level - lower
-        index = dr.uint32_array_t(array)(lower)
+        # A nan is no level: its share is nan, any texture will do.
+        index = dr.uint32_array_t(array)(dr.select(lower == lower, lower, 0))
         found = []
         for which in (index, index + 1):
             size, start = (

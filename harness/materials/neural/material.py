@@ -30,6 +30,9 @@ class NeuralMaterial(Material):
     up at the footprint of the ray; without it, at its finest level.
     """
 
+    renders_in_columns = True
+    """Conditions and reflectance stay in Dr.Jit, also inside a renderer."""
+
     def __init__(
         self,
         name: str,
@@ -48,8 +51,8 @@ class NeuralMaterial(Material):
         self._tables: dict[Any, tuple[ColumnTable, ColumnTable | None]] = {}
 
     @property
-    def needs_differentials(self) -> bool:
-        """Whether a renderer has to say how large a pixel is on the surface."""
+    def prefilters(self) -> bool:
+        """Whether a renderer has to say how fast a pixel's ray grows."""
         return "prefiltering" in self.effects
 
     def with_effects(self, effects: frozenset[str]) -> NeuralMaterial:
@@ -89,17 +92,18 @@ class NeuralMaterial(Material):
             level = u[:, 4] * (self.network.architecture.levels - 1)
         return self.condition_at(u[:, :2], square_to_disk(u[:, 2:4]), level)
 
-    def condition_columns(self, si: Any) -> Columns:
-        """The condition at surface interactions, as a renderer meets it.
+    def condition_columns(self, si: Any, spread: float = 0.0) -> Columns:
+        r"""The condition at surface interactions, as a renderer meets it.
 
-        The footprint's deviation is half the side of the square with the area that the ray's
-        differentials span in uv.
+        The ray is a cone that grows by ``spread``, a pixel's angle in radians, from where it
+        last left a surface or the camera. It covers :math:`(t\,s)^2 / \cos\theta_i` of the
+        surface, and the footprint's deviation is half the side of the square with that area in uv.
         """
         level = None
         if "prefiltering" in self.effects:
-            dx, dy = si.duv_dx, si.duv_dy
-            area = dr.abs(dx.x * dy.y - dx.y * dy.x)
-            # A point has no footprint: log2(0) = -inf is below every level.
+            scale = dr.norm(dr.cross(si.dp_du, si.dp_dv))
+            area = dr.square(si.t * spread) / (dr.abs(si.wi.z) * scale)
+            # A cone of no width covers a point: log2(0) = -inf is below every level.
             level = dr.log2(self.network.architecture.resolution * dr.sqrt(area))
         wi = [si.wi.x, si.wi.y]
         return [*self._features([si.uv.x, si.uv.y], wi, level), *wi]
