@@ -22,6 +22,12 @@ def register(app: typer.Typer) -> None:
         profile: Annotated[
             str, typer.Option(help="quick, full, quick-pyramid or full-pyramid.")
         ] = "quick",
+        set_: Annotated[
+            list[str] | None,
+            typer.Option(
+                "--set", help="A size of the network, such as offset=false or channels=4."
+            ),
+        ] = None,
         seed: Annotated[int, typer.Option(help="Of the weights, the queries and the batches.")] = 0,
         resume: Annotated[bool, typer.Option("--resume", help="Go on from OUT's .train.")] = False,
         device: Annotated[str, typer.Option(help="cpu or cuda.")] = "cpu",
@@ -41,7 +47,7 @@ def register(app: typer.Typer) -> None:
                 progress.update(task, description=text, completed=share)
 
             try:
-                recipe.train(description, out, profile, seed, device, resume, notify)
+                recipe.train(description, out, profile, seed, device, resume, notify, set_ or ())
             except KeyboardInterrupt:
                 progress.stop()
                 console.print(f"interrupted; --resume goes on from {out.with_suffix('.train')}")

@@ -62,5 +62,8 @@ def make(name: str, path: Path, what: dict[str, Any]) -> Any:
     from harness.materials.neural.material import NeuralMaterial
 
     where = f"material '{name}'"
-    load = storage.load if path.suffix == ".safetensors" else checkpoint.load
-    return NeuralMaterial(name, load(path, where), what)
+    if path.suffix != ".safetensors":
+        return NeuralMaterial(name, checkpoint.load(path, where), what)
+    material = NeuralMaterial(name, storage.load(path, where), what)
+    material.record = storage.record(path)
+    return material

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from types import MappingProxyType
 from typing import Any
 
 import drjit as dr
@@ -29,6 +31,9 @@ class NeuralMaterial(Material):
     ``parallax`` if it has an offset, ``prefiltering`` if it has a pyramid, which then is looked
     up at the footprint of the ray; without it, at its finest level.
     """
+
+    record: Mapping[str, Any] = MappingProxyType({})
+    """How it came to be, where its file says so."""
 
     renders_in_columns = True
     """Conditions and reflectance stay in Dr.Jit, also inside a renderer."""

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import json
 import time
-from collections.abc import Callable
-from dataclasses import asdict
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 from harness import machine, microgeometry
 from harness.materials.neural import storage
+from harness.materials.neural.architecture import Architecture
 from harness.materials.neural.profiles import PROFILES, Profile
 from harness.materials.neural.profiles import profile as find_profile
 from harness.materials.neural.quality import Held, footprints
@@ -31,11 +33,13 @@ def train(
     device: str = "cpu",
     resume: bool = False,
     notify: Notify = lambda _text, _share: None,
+    changes: Sequence[str] = (),
 ) -> dict[str, Any]:
     """Train the material of a description and store it as ``out``; returns its record.
 
     An interrupted training leaves ``out`` with the suffix ``.train`` beside it, from which
-    ``resume`` goes on; a finished one removes it.
+    ``resume`` goes on; a finished one removes it. ``changes`` are sizes of the network that
+    differ from the profile's, as ``KEY=VALUE``.
 
     Raises:
         InputError: no such description, profile or file to resume from.
@@ -43,7 +47,7 @@ def train(
     """
     if out.suffix != ".safetensors":
         raise InputError(f"--out {out}: expected a name that ends in .safetensors")
-    chosen = find_profile(profile)
+    chosen = changed(find_profile(profile), changes)
     surface = microgeometry.load(description)
     out.parent.mkdir(parents=True, exist_ok=True)
     under_way = out.with_suffix(".train")
@@ -89,6 +93,20 @@ def train(
     storage.save(out, network, record)
     under_way.unlink(missing_ok=True)
     return record
+
+
+def changed(profile: Profile, changes: Sequence[str]) -> Profile:
+    """The profile with sizes of its network replaced, given as ``KEY=VALUE``."""
+    sizes = profile.architecture.as_dict()
+    for change in changes:
+        key, equals, text = change.partition("=")
+        if not equals:
+            raise InputError(f"--set {change}: expected KEY=VALUE")
+        try:
+            sizes[key] = json.loads(text)
+        except ValueError:
+            sizes[key] = text
+    return replace(profile, architecture=Architecture.of(sizes, "--set"))
 
 
 def _data(surface: Any, training: Training, profile: Profile, notify: Notify) -> tuple[Data, float]:

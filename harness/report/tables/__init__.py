@@ -11,6 +11,7 @@ from harness.report.tables.breakeven import breakeven
 from harness.report.tables.effects import effect_counts, effects
 from harness.report.tables.image_checks import image_checks
 from harness.report.tables.importance_maps import importance_maps
+from harness.report.tables.levels import levels
 from harness.report.tables.pdf import pdf
 from harness.report.tables.ranking import ranking
 from harness.report.tables.speedup import equal_spp, table2
@@ -31,6 +32,7 @@ TABLES: dict[str, Callable[[Results], Table | str]] = {
     "stability": stability,
     "image-checks": image_checks,
     "importance-maps": importance_maps,
+    "levels": levels,
     "effects": effects,
     "effect-counts": effect_counts,
     "status": status,

@@ -1,0 +1,51 @@
+"""Time of a neural material's two stages, beside a bare network of its decoder's size."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from harness.materials.neural import bench
+from harness.materials.neural.material import NeuralMaterial
+from harness.measures.base import Job, Measure, Outcome, Record
+from harness.measures.base import Settings as BaseSettings
+from harness.protocol import Unsupported
+from harness.stats.intervals import median_interval
+
+
+class Stages(Measure):
+    """Seconds per million rows of stage 1 (offset and lookup) and stage 2 (decoder).
+
+    NeuMIP's Figure 9. ``bare-seconds`` is a torch network of the decoder's size in its faster
+    form, whole or in chunks, timed in the same interleaved rounds; ``stage-2-ratio`` is stage 2
+    over it. Medians over the rounds with 95 % intervals. The method plays no part.
+    """
+
+    name = "stages"
+    timed = True
+    needs_scene = False
+
+    class Settings(BaseSettings):
+        """``rows`` directions at a time."""
+
+        rows: int = 1 << 20
+        rounds: int = 11
+
+    def run(self, jobs: list[Job], notify: Callable[[str], None]) -> list[Outcome]:
+        """See :class:`Measure`."""
+        return [self._one(job) for job in jobs]
+
+    def _one(self, job: Job) -> Outcome:
+        settings = self.Settings(**job.settings)
+        if not isinstance(job.material, NeuralMaterial):
+            raise Unsupported(f"material '{job.material.name}' is not neural")
+        timing = bench.run(job.material, settings.rows, settings.rounds, job.budget.device)
+        bare = min(("bare", "bare, in chunks"), key=timing.median)
+        records = []
+        for metric, what in (("stage-1", "stage 1"), ("stage-2", "stage 2"), ("bare", bare)):
+            per_million = np.array(timing.seconds[what]) / settings.rows * 1e6
+            records.append(Record(f"{metric}-seconds", *median_interval(per_million), "s"))
+        records.append(Record("stage-2-ratio", timing.ratio, unit="1"))
+        arrays = {name.replace(" ", "-"): np.array(x) for name, x in timing.seconds.items()}
+        return Outcome(records=records, arrays=arrays)
