@@ -74,7 +74,7 @@ def draw(surface: Any, answer: Any, size: int, spp: int, device: str) -> list[Te
         kernel = torch.full((n,), 0.5 / 128)
         f = answer(spp)(u, kernel, torch.tensor(wi).expand(n, 2).contiguous(), wo[inside])
         image = torch.ones(side * side, 3)
-        image[inside] = f.cpu().log1p() / 1.5
+        image[inside] = f.cpu().log1p()
         found.append(image.view(side, side, 3))
     return found
 
@@ -113,7 +113,7 @@ def _figure(rows: list[list[Tensor]], name: str) -> Any:
             axis.imshow(_display(image.numpy(), linear=not title.startswith("slice")))
             axis.set_xticks([])
             axis.set_yticks([])
-            axis.set_title(title if line is axes[0] else "", fontsize=10)
+            axis.set_title(title if label == "path-traced" else "", fontsize=10)
         line[0].set_ylabel(f"{name}, {label}", fontsize=11)
     return figure
 
