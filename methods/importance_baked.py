@@ -232,7 +232,7 @@ class ImportanceBaked(ModuleMethod, ColumnMethod):
         return defensive.mixed_columns(pdf, [x, y], self.uniform)
 
 
-_MAP_WEIGHT = 4.0
+_MAP_WEIGHT = 1.0
 """Nats per unit of the uniforms: at the start an error of the map counts as much as likelihood."""
 
 

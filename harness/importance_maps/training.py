@@ -10,7 +10,8 @@ import torch
 from torch import Tensor
 
 from harness.importance_maps.database import BakeSettings, Maps, bake, load
-from harness.protocol import Budget, BudgetExceeded, Material
+from harness.importance_maps.slices import inner_share
+from harness.protocol import Budget, BudgetExceeded, Material, luminance, square_to_disk
 
 _cache: OrderedDict[tuple, tuple[Material, Maps]] = OrderedDict()
 
@@ -55,6 +56,9 @@ class MapBatches:
         self.condition = maps.condition.to(device)
         self.wo = maps.wo.to(device)
         self.seconds, self.black = maps.seconds, maps.black
+        share = torch.from_numpy(inner_share(maps.rgb.shape[1])).float().flatten()
+        # What is off the disk is never asked for.
+        self._share = torch.where(share > 0, share, 1).to(device)
         self._rgb, self._scale = maps.rgb.to(device), maps.scale.to(device).flatten(1)
 
     def draw(
@@ -67,3 +71,28 @@ class MapBatches:
         wo = self.wo[row].flatten(1, 2).gather(1, cell[..., None].expand(-1, -1, 2))
         u = torch.stack([cell % n, cell // n], -1)
         return self.condition[row], (u + 0.5) / n, wo, row
+
+    def at(self, row: Tensor, wo: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """f [B, D, 3], weight f / p [B, D, 3] and p [B, D] of maps ``row`` [B] at ``wo`` [B, D, 2].
+
+        From the cell of the slice that each direction lies in, per disk area.
+        """
+        n = self._rgb.shape[1]
+        cell = ((wo + 1) * (n / 2)).long().clamp(0, n - 1)
+        index = cell[..., 1] * n + cell[..., 0]
+        rgb = self._rgb.flatten(1, 2)
+        mean = rgb[row].float()
+        # Means over cells that the rim cuts are of their part inside the disk.
+        value = mean.gather(1, index[..., None].expand(-1, -1, 3)) * self._scale[row][..., None]
+        value = value / self._share[index][..., None]
+        total = luminance(mean).abs().sum(1) * self._scale[row][:, 0] * (2 / n) ** 2
+        pdf = luminance(value).abs() / total[:, None]
+        # Where the density is zero, so is f, and its weight.
+        weight = value / torch.where(pdf > 0, pdf, 1)[..., None]
+        return value, weight, pdf
+
+    def half_even(self, wo: Tensor, generator: torch.Generator) -> Tensor:
+        """``wo`` [B, D, 2] with the second half of the directions replaced by uniform ones."""
+        b, d, _ = wo.shape
+        even = square_to_disk(torch.rand(b, d - d // 2, 2, generator=generator)).to(wo)
+        return torch.cat([wo[:, : d // 2], even], 1)

@@ -53,7 +53,7 @@ class MLP(nn.Module):
             counting.add("network", max(dr.width(column) for column in x))
         if dr.backend_v(x[-1]) == dr.JitBackend.CUDA:
             return self._columns_scalar(x)
-        weights, biases = self._pack(type(x[-1]))
+        weights, biases = self.packed(type(x[-1]))
         v = drjit.nn.CoopVec(*x)
         for i, (w, b) in enumerate(zip(weights, biases, strict=True)):
             v = drjit.nn.matvec(w, v, b)
@@ -79,7 +79,7 @@ class MLP(nn.Module):
             x = out
         return x
 
-    def _pack(self, array: type[Float]) -> tuple[list, list]:
+    def packed(self, array: type[Float]) -> tuple[list, list]:
         """Weights as packed matrix views, made again whenever a parameter has changed."""
         numbers = [p.detach().float().cpu().numpy() for p in self.parameters()]
         # By content: torch's version counter misses the writes of fused optimisers.

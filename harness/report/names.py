@@ -13,6 +13,7 @@ TABLES = (
     "ranking",
     "stability",
     "image-checks",
+    "importance-maps",
     "effects",
     "effect-counts",
     "status",
@@ -26,5 +27,6 @@ FIGURES = (
     "slices",
     "images",
     "heatmap",
+    "importance-maps",
     "effects",
 )
