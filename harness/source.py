@@ -26,6 +26,7 @@ COUNTED = (
     "harness.columns",
     "harness.nets",
     "harness.fitting",
+    "harness.importance_maps",
     "harness.stats",
     "harness.effects",
     "harness.scenes",

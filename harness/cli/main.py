@@ -12,7 +12,7 @@ import typer
 VERBS = (
     *("run", "report", "compare", "advise"),
     *("list", "check", "validate", "new", "doctor", "bench", "effects"),
-    *("fit", "material"),
+    *("fit", "material", "bake"),
 )
 REFUSED = 2
 INTERRUPTED = 130
