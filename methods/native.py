@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import drjit as dr
+
 from harness.columns import ColumnMethod, Columns, Float
 from harness.protocol import Material, Unsupported
 
@@ -37,7 +39,11 @@ class Native(ColumnMethod):
     def sample_columns(self, c: Columns, u: Columns) -> tuple[Float, Float, Float]:
         """See :meth:`ColumnMethod.sample_columns`."""
         x, y, _ = self.material.native_sample_columns(c, u)
-        return x, y, self.material.native_pdf_columns(c, [x, y])
+        pdf = self.material.native_pdf_columns(c, [x, y])
+        # Rounding may take a direction over an edge of the support, as a bent normal's horizon
+        # is. Density and reflectance are zero there: no sample, and no light is lost.
+        x, y = dr.select(pdf == 0, 2, x), dr.select(pdf == 0, 0, y)
+        return x, y, pdf
 
     def pdf_columns(self, c: Columns, wo: Columns) -> Float:
         """See :meth:`ColumnMethod.pdf_columns`."""
