@@ -200,7 +200,8 @@ def test_effects():
     single = material.with_effects(frozenset())
     assert material.effects == single.effects == {"multiple-scattering"}
     assert single.identity()["without"] == ["multiple-scattering"]
-    assert material.with_effects(material.effects).identity() == material.identity()
+    assert material.with_effects(material.effects) is material
+    assert material.off == frozenset() and single.with_effects(frozenset()) is single
     assert single.with_effects(material.effects | {"media"}).identity() == material.identity()
     row = torch.tensor([0.5, -0.4])
     _, weight = exits(single, row, 1 << 16, 18)

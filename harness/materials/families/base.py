@@ -51,8 +51,11 @@ class Family(Material):
 
     def with_effects(self, effects: frozenset[str]) -> Family:
         """See :meth:`Material.with_effects`."""
+        off = self.effects - effects
+        if off == self.off:
+            return self
         other = copy.copy(self)
-        other.off = self.effects - effects
+        other.off = off
         return other
 
     # --- conditions --------------------------------------------------------------------
