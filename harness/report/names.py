@@ -14,6 +14,7 @@ TABLES = (
     "stability",
     "image-checks",
     "importance-maps",
+    "levels",
     "effects",
     "effect-counts",
     "status",
