@@ -105,11 +105,11 @@ class ImportanceBakedPublished(ModuleMethod, ColumnMethod):
 
     def fit(self, material: Material, budget: Budget, generator: torch.Generator) -> FitReport:
         """See :meth:`Method.fit`: bake the maps, then train the networks, all on one batch."""
-        self.material = None
+        self.material = material
         seed = int(torch.randint(1 << 62, (), generator=generator))
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(seed)
-            self.bind(material)
+            self.module = self.build(material)
         if budget.steps == 0:
             return FitReport()
         maps = maps_for(material, self.settings, self.slices, budget, self.database)
