@@ -223,3 +223,13 @@ def test_several_bsdfs_are_replaced(tmp_path):
     assert sum(bsdf is mixed.bsdf for bsdf in on) == 1
     assert any("0.1" in str(bsdf) for bsdf in on)
     assert mixed.mask.sum() < both.mask.sum()
+
+
+def test_a_path_that_is_left_alone():
+    """Of a few paths one goes on: a method and a material in torch are asked for one row."""
+    material, method = Offset(), registry.make("cosine")
+    method.bind(material)
+    lights = ("environment", "point-lights", "emitter-sampling", "indirect: 12")
+    prepared = prepare(hall(*lights), material, method, 3)
+    for seed in range(12):
+        assert np.isfinite(prepared.render(2, seed).rgb).all()

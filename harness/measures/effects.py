@@ -62,11 +62,14 @@ class Effects(Measure):
     class Settings(RenderSettings):
         """``rounds`` of each variant, ``slice_seconds`` each; see :class:`RenderSettings`.
 
+        Never fewer than ``spp`` samples per pixel: a small image takes as long for a few as for
+        one.
         ``tolerance`` is of the root of the relative mean squared error.
         """
 
         rounds: Annotated[int, Field(ge=6)] = 12
         max_rounds: int | None = 0
+        spp: Annotated[int, Field(ge=2)] = 16
         tolerance: Annotated[float, Field(gt=0)] = 0.01
 
     def run(self, jobs: list[Job], notify: Callable[[str], None]) -> list[Outcome]:
@@ -75,7 +78,7 @@ class Effects(Measure):
 
     def _one(self, job: Job, settings: Settings, notify: Callable[[str], None]) -> Outcome:
         variants = variants_of(job)
-        least = 2 * settings.rounds * len(variants)
+        least = settings.spp * settings.rounds * len(variants)
         if reason := too_slow(job, settings.resolution, least, settings.patience):
             raise BudgetExceeded(reason)
         shots = []
@@ -135,9 +138,9 @@ class _Shot:
 
         if self.spp == 0:
             # As many as fill a slice; those of the scene itself are all others' too.
-            self.spp = 2
+            self.spp = self.settings.spp
             seconds = settle(once, self.settings) / self.spp
-            self.spp = max(2, int(self.settings.slice_seconds / seconds))
+            self.spp = max(self.spp, int(self.settings.slice_seconds / seconds))
         settle(once, self.settings)
 
     def _prepare(self, **how: Any) -> Prepared:

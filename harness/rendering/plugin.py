@@ -273,6 +273,10 @@ def _on_active_rows(function: Any, columns: Columns, active: Any, outputs: int) 
     lanes = dr.compress(active if dr.width(active) == n else active & dr.full(mi.Mask, True, n))
     if dr.width(lanes) == 0:
         return results
+    if dr.width(lanes) == 1:
+        # What is one wide Dr.Jit broadcasts to the mask of the call it is in; twice the one row
+        # is as right.
+        lanes = dr.repeat(lanes, 2)
     picked = [dr.gather(mi.Float, c, lanes) for c in columns]
     with torch.inference_mode():
         out = function(tensor_of(*picked, rows=dr.width(lanes)))
