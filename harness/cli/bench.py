@@ -20,16 +20,23 @@ def register(app: typer.Typer) -> None:
         device: Annotated[str, typer.Option(help="cpu or cuda")] = "cpu",
         rounds: Annotated[int, typer.Option(help="Interleaved rounds.")] = 11,
         steps: Annotated[int, typer.Option(help="Fitting steps before timing.")] = 60,
+        effects: Annotated[
+            bool, typer.Option("--effects", help="Scenes of one effect beside Mitsuba by hand.")
+        ] = False,
     ) -> None:
         """Time samples, pdf queries and renders, beside Mitsuba's own path tracer."""
         from rich.console import Console
         from rich.table import Table
 
+        from harness import lean
         from harness.bench import run
 
         console = Console()
         with console.status("preparing") as status:
-            rows = run(methods, material, scene, device, rounds, steps, status.update)
+            if effects:
+                rows = lean.run(device, rounds, status.update)
+            else:
+                rows = run(methods, material, scene, device, rounds, steps, status.update)
         table = Table(title=rows.title, caption=rows.caption)
         for i, name in enumerate(rows.columns):
             table.add_column(name, justify="left" if i == 0 else "right")

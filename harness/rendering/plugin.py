@@ -111,7 +111,9 @@ class SampledBSDF(mi.BSDF):
         bs.sampled_type = mi.UInt32(+reflects)
         bs.sampled_component = mi.UInt32(0)
         if weight:
-            value = dr.select(valid, mi.Color3f(*weight), 0)
+            value = mi.Color3f(*weight)
+            value = value if self.channels == 3 else mi.Color3f(mi.luminance(value))
+            value = dr.select(valid, value, 0)
         else:
             value = dr.select(valid, self._value(ctx, si, bs.wo, valid) / bs.pdf, 0)
         value = dr.select(broken | dr.any(dr.isnan(value)), dr.inf, value)

@@ -14,7 +14,7 @@ from harness.columns.bridge import Columns, Float, backend, columns_of, tensor_o
 from harness.materials.neural.column_lookup import ColumnTable
 from harness.materials.neural.network import NeuralMBTF
 from harness.materials.neural.offset import STEEPEST
-from harness.protocol import Material, square_to_disk
+from harness.protocol import Material, counting, square_to_disk
 from harness.protocol.disk import REC709
 
 EFFECTS = frozenset({"parallax", "prefiltering"})
@@ -118,6 +118,8 @@ class NeuralMaterial(Material):
         table, offset_table = self._on(type(uv[0]))
         if net.offset is not None and "parallax" in self.effects:
             assert offset_table is not None
+            if counting.wanted():
+                counting.add("parallax", dr.width(uv[0]))
             (depth,) = net.offset.network.columns([*offset_table.lookup(uv), *wi])
             squared = 1 - wi[0] * wi[0] - wi[1] * wi[1]
             # Off the disk there is no direction, nor a cosine; the bound is eq. 6's in any case.
