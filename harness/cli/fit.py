@@ -38,7 +38,8 @@ def register(app: typer.Typer) -> None:
 
         from harness.protocol import InputError
         from harness.runner import preflight, shipped
-        from harness.runner.run import INTERRUPTED, Options
+        from harness.runner.only import parse
+        from harness.runner.run import Options
         from harness.runner.run import run as carry_out
         from harness.store import load_trial, stored
         from harness.suite.load import load
@@ -56,10 +57,7 @@ def register(app: typer.Typer) -> None:
         status = carry_out(
             plan, folder, Options(chosen, "local", retry == "failed", refit=True), console
         )
-        if status == INTERRUPTED:
-            raise typer.Exit(status)
-        from harness.runner.only import parse
-
+        # An interrupted run, too, leaves fits that are finished.
         wanted, there = parse(chosen, plan), set(stored(folder))
         fits = [t for t in plan.trials if t in wanted and t.hash in there]
         written = [shipped.save(t, load_trial(folder, t.hash), out or shipped.FOLDER) for t in fits]
