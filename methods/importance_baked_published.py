@@ -191,7 +191,7 @@ class ImportanceBakedPublished(ModuleMethod, ColumnMethod):
 
 
 class ImportanceBakedOneNetwork(ImportanceBakedPublished):
-    """The published sampling network alone; values are the material's, pdf its native sampler's.
+    """The published sampling network alone: **biased**; f and pdf are the material's own.
 
     What the paper's Figure 15 calls "BSDF sampling network + GT evaluation and PDF". **Biased**
     as ``importance-baked-published`` is, but light samples are not. Needs a material that has

@@ -49,7 +49,7 @@ class ImportanceMaps(Measure):
 
         count: Annotated[int, Field(ge=2)] = 24
         slice_resolution: Annotated[int, Field(ge=16)] = 128
-        resolutions: Annotated[tuple[int, ...], Field(min_length=1)] = (16, 32, 64, 128)
+        resolutions: Annotated[list[int], Field(min_length=1)] = [16, 32, 64, 128]
         bins: int = 32
         side: int = 512
         shown: int = 2
