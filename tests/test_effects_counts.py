@@ -233,3 +233,19 @@ def test_a_path_that_is_left_alone():
     prepared = prepare(hall(*lights), material, method, 3)
     for seed in range(12):
         assert np.isfinite(prepared.render(2, seed).rgb).all()
+
+
+def test_no_offset_network_of_a_neural_material_without_parallax():
+    """The untrained network will do: it is run or it is not."""
+    from harness.materials.neural.architecture import Architecture
+    from harness.materials.neural.material import NeuralMaterial
+    from harness.materials.neural.network import NeuralMBTF
+
+    torch.manual_seed(0)
+    network = NeuralMBTF(Architecture(resolution=8, offset_resolution=8))
+    material = NeuralMaterial("untrained", network, {"type": "test"})
+    assert "parallax" in material.effects
+    on = counts(hall("environment", "parallax"), material)
+    off = counts(hall("environment", "material: plain"), material)
+    assert on["parallax"] > 0 == off["parallax"]
+    assert on["network"] == off["network"] + on["parallax"]
