@@ -496,8 +496,13 @@ def test_image_helpers():
     assert exposure(image) == pytest.approx(4.0)
     noisy = image.copy()
     noisy[20:26, 4:10] += 1.0
-    row, column = _worst_square([noisy, image], image)
+    row, column = _worst_square([noisy, image], image, None)
     assert row <= 20 and row + 8 >= 26 and column <= 4 and column + 8 >= 10
+    noisy[0:6, 20:26] += 0.5
+    elsewhere = np.zeros((32, 32), bool)
+    elsewhere[:12] = True
+    row, column = _worst_square([noisy, image], image, elsewhere)
+    assert row == 0 and column <= 20 and column + 8 >= 26
 
 
 def test_thumbnails_are_of_the_materials_that_were_rendered(tmp_path: Path):

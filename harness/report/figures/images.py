@@ -34,6 +34,8 @@ class Shot:
     spp: Estimate | str
     relative_mse: Estimate | str
     why: str
+    mask: NDArray | None = None
+    """Pixels [H, W] that show the material under test."""
 
 
 @dataclass(frozen=True)
@@ -63,15 +65,16 @@ def _shots(results: Results, material: str, scene: str) -> list[Shot]:
     shots = []
     for method in results.methods:
         at = (material, method.label, scene)
-        images = [results.stored(trial).images for trial in results.trials(MEASURE, *at)[:1]]
-        image = images[0].get(_IMAGE) if images else None
+        stored = [results.stored(trial) for trial in results.trials(MEASURE, *at)[:1]]
+        image = stored[0].images.get(_IMAGE) if stored else None
+        mask = stored[0].arrays.get("mask") if stored else None
         spp = results.number(MEASURE, "spp-achieved", *at)
         error = results.number("equal-spp", "relative-variance", *at)
         # The error of a mean of n samples is that of one over n; no reference is needed.
         if isinstance(error, Estimate) and isinstance(spp, Estimate):
             error = Estimate(error.value / spp.value)
         why = "" if image is not None else results.why_missing(MEASURE, *at)
-        shots.append(Shot(method, image, spp, error, why))
+        shots.append(Shot(method, image, spp, error, why, mask))
     return shots if any(shot.image is not None for shot in shots) else []
 
 
@@ -81,7 +84,8 @@ def _figure(
     truth = reference(results, material, scene)
     renders = [shot.image for shot in shots if shot.image is not None]
     first = renders[0] if truth is None else truth
-    look = _Look(truth, exposure(first), _worst_square(renders, first), _side(first))
+    mask = next((shot.mask for shot in shots if shot.mask is not None), None)
+    look = _Look(truth, exposure(first), _worst_square(renders, first, mask), _side(first))
     across = min(len(shots), _ACROSS)
     rows = -(-len(shots) // across)
     tall = _CELL * first.shape[0] / first.shape[1]
@@ -154,10 +158,15 @@ def _side(image: NDArray) -> int:
     return max(8, int(_CROP * min(image.shape[:2])))
 
 
-def _worst_square(renders: list[NDArray], centre: NDArray) -> tuple[int, int]:
-    """Upper left corner of the square in which the renders are furthest from ``centre``."""
+def _worst_square(renders: list[NDArray], centre: NDArray, mask: NDArray | None) -> tuple[int, int]:
+    """Upper left corner of the square in which the renders are furthest from ``centre``.
+
+    What is not in ``mask`` [H, W] does not count.
+    """
     # The root keeps a few fireflies from choosing the square.
     scatter = np.mean([np.sqrt(np.abs((r - centre) @ LUMINANCE)) for r in renders], axis=0)
+    if mask is not None:
+        scatter = scatter * mask
     side = _side(centre)
     sums = np.pad(scatter.cumsum(0).cumsum(1), ((1, 0), (1, 0)))
     boxes = sums[side:, side:] - sums[:-side, side:] - sums[side:, :-side] + sums[:-side, :-side]
