@@ -53,6 +53,8 @@ PROFILES = {
     # A minute and a half of one core.
     "quick": Profile(_SMALL, **_MINUTES),
     "quick-pyramid": Profile(_SMALL_PYRAMID, **_MINUTES),
+    # Four times as long, for rough and glossy surfaces whose highlights are rare.
+    "long": Profile(_SMALL, **{**_MINUTES, "queries": 8 << 20, "steps": 8000, "final_steps": 2400}),
     # The papers' sizes: 300 queries a texel of 512^2, batches of a million. For a GPU.
     "full": Profile(NEUSAMPLE, 80 << 20, 64, 27000, 1 << 20, 3000, 1 << 20),
     "full-pyramid": Profile(NEUMIP, 80 << 20, 64, 27000, 1 << 20, 3000, 1 << 20),
