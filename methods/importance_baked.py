@@ -82,7 +82,7 @@ class ImportanceBaked(ModuleMethod, ColumnMethod):
     learning_rate = 1e-2
 
     knobs: ClassVar[tuple[Knob, ...]] = (
-        Knob("slices", (128, 256, 512, 1024), "importance maps baked"),
+        Knob("slices", (256, 512, 1024, 2048), "importance maps baked"),
         Knob("bins", (5, 10, 20), "bins of each spline"),
         Knob("width", (16, 32, 64), "neurons of a hidden layer"),
         Knob("layers", (1, 2, 3), "hidden layers of a spline's network"),
@@ -96,7 +96,7 @@ class ImportanceBaked(ModuleMethod, ColumnMethod):
         layers: int = 2,
         bins: int = 10,
         frequencies: int = 4,
-        slices: int = 512,
+        slices: int = 1024,
         resolution: int = 32,
         kind: str = "optimal-transport",
         supervision: str = "both",

@@ -71,7 +71,7 @@ class ImportanceBakedPublished(ModuleMethod, ColumnMethod):
     knobs: ClassVar[tuple[Knob, ...]] = (
         Knob("width", (16, 32, 64, 128), "neurons of a hidden layer"),
         Knob("layers", (2, 4, 6), "hidden layers"),
-        Knob("slices", (128, 256, 512, 1024), "importance maps baked"),
+        Knob("slices", (256, 512, 1024, 2048), "importance maps baked"),
         Knob("budget.steps", (100, 300, 1000, 3000), "optimiser steps"),
     )
 
@@ -79,7 +79,7 @@ class ImportanceBakedPublished(ModuleMethod, ColumnMethod):
         self,
         width: int = 64,
         layers: int = 6,
-        slices: int = 512,
+        slices: int = 1024,
         resolution: int = 32,
         kind: str = "optimal-transport",
         database: str = "",

@@ -14,6 +14,8 @@ from harness.importance_maps.slices import inner_share
 from harness.protocol import Budget, BudgetExceeded, Material, luminance, square_to_disk
 
 _cache: OrderedDict[tuple, tuple[Material, Maps]] = OrderedDict()
+_KEPT = 2
+"""Data bases kept in memory: two kinds of map of one material."""
 
 
 def maps_for(
@@ -43,7 +45,8 @@ def maps_for(
             raise BudgetExceeded(
                 f"fit passed its limit of {budget.max_seconds:g} s: {late}"
             ) from None
-        _cache.clear()
+        while len(_cache) >= _KEPT:
+            _cache.popitem(last=False)
         # The material is kept beside its maps, so that its id stays its own.
         _cache[key] = material, made
     return _cache[key][1]
