@@ -60,6 +60,8 @@ class Stored:
     folder: Path | None = None
     shipped: str = ""
     """Of a fit that was not run but came with the harness: the name of its file."""
+    effects: dict[str, Any] = field(default_factory=dict)
+    """What ``effects: auto`` came to in the trial's scene, and why; empty without ``auto``."""
 
     @cached_property
     def arrays(self) -> dict[str, np.ndarray]:
@@ -274,6 +276,7 @@ def _stored(path: Path) -> Stored:
             traceback=data.get("traceback", ""),
             folder=path.parent,
             shipped=data.get("shipped", ""),
+            effects=data.get("effects", {}),
         )
     except (KeyError, TypeError, ValueError) as error:
         raise InputError(f"{path}: not a stored trial: {type(error).__name__} {error}") from None

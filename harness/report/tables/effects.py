@@ -99,7 +99,7 @@ def choices(results: Results) -> list[str]:
     said = []
     for scene, material, method in trials(results):
         for trial in results.trials(MEASURE, material, method, scene)[:1]:
-            chosen = results.stored(trial).trial.get("effects")
+            chosen = results.stored(trial).effects
             if chosen:
                 why = "; ".join(f"{name}: {reason}" for name, reason in chosen["why"].items())
                 listed = ", ".join(chosen["chosen"])
