@@ -40,7 +40,9 @@ def test_a_shipped_material(name):
 
 
 def test_the_table_of_records():
-    found = CliRunner().invoke(build("material"), ["material", "show", NAMES[0]])
+    found = CliRunner().invoke(
+        build("material"), ["material", "show", NAMES[0]], env={"COLUMNS": "200"}
+    )
     assert found.exit_code == 0 and "steps" in found.stdout
     with pytest.raises(InputError, match="did you mean"):
         CliRunner().invoke(
