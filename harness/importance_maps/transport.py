@@ -6,8 +6,9 @@ over permutations (eq. 5 of Bai et al. 2023, with squared distances: it is they 
 continuous map the gradient of a convex function, whose Jacobian is symmetric and positive).
 
 The paper starts from geomloss and refines by sliced transport. Here: sliced transport moves
-the grid onto the points, a bijection by binary space partitions (POT's ``ot.bsp``) rounds
-that, and exchanges between neighbours remove most of what is left. ``refine`` then solves the
+the grid onto the points; bijections by random binary space partitions, merged (Genest et al.
+2025, BSP-OT), round that; and exchanges between neighbours remove most of what is left. (POT's own
+``ot.bsp`` gives another plan at every call, whatever its seed.) ``refine`` then solves the
 transport problem on the edges that a neighbourhood offers, by the network simplex.
 """
 
@@ -16,7 +17,9 @@ from __future__ import annotations
 import os
 
 import numpy as np
+import scipy.sparse as sparse
 from numpy.typing import NDArray
+from scipy.sparse import csgraph
 
 # POT looks for every array library there is; nothing here needs another than numpy's.
 for _name in ("PYTORCH", "JAX", "CUPY", "TENSORFLOW"):
@@ -25,13 +28,13 @@ for _name in ("PYTORCH", "JAX", "CUPY", "TENSORFLOW"):
 SLICES = 30
 """Random directions, each with its perpendicular, in which the grid is sorted onto the points."""
 PLANS = 16
-"""Bijections by random partitions that are merged, in rounding and again from the rounded."""
+"""Bijections by random partitions of the moved grid, and as many of the grid, that are merged."""
 REACH = 4
 """Distance in the grid over which partners are exchanged."""
+SWEEPS = 2
+"""How often all distances are gone through; a third sweep finds little more."""
 CANDIDATES = 3
 """Distance in the grid from which a refined plan may take a partner."""
-EXTRA_PLANS = 32
-"""Further bijections whose edges a refined plan may use."""
 
 
 def grid(resolution: int) -> NDArray[np.float64]:
@@ -56,27 +59,56 @@ def transport(points: NDArray, refine: bool | None = None, seed: int = 0) -> NDA
     Raises:
         ValueError: the number of points is not a square.
     """
-    import ot.bsp
-
     n = len(points)
     resolution = round(n**0.5)
     if resolution**2 != n:
         raise ValueError(f"expected a square number of points, not {n}")
     points = np.ascontiguousarray(points, np.float64)
-    source = grid(resolution)
-    plan = np.arange(n)
-    if n > 1:
-        moved = _sliced(source, points, np.random.default_rng(seed))
-        _, plan, _ = ot.bsp.compute_bspot_bijection(moved, points, n_plans=PLANS, seed=seed)
-        # The solver reads 32-bit integers, whatever it is given.
-        start = np.ascontiguousarray(plan, np.int32)
-        _, plan, _ = ot.bsp.compute_bspot_bijection(
-            source, points, n_plans=PLANS, initial_perm=start, seed=seed + 1
-        )
-    plan = _exchanged(points, np.asarray(plan, np.int64), resolution, seed)
+    source, rng = grid(resolution), np.random.default_rng(seed)
+    moved = _sliced(source, points, rng)
+    plans = [_partitioned(side, points, rng) for side in (moved, source) for _ in range(PLANS)]
+    plan = plans[0]
+    for other in plans[1:]:
+        plan = _merged(source, points, plan, other)
+    for _ in range(SWEEPS):
+        plan = _exchanged(points, plan, resolution, rng)
     if refine is None:
         refine = 32 < resolution <= 64
-    return _refined(source, points, plan, resolution, seed) if refine else plan
+    return _refined(source, points, plan, plans, resolution) if refine else plan
+
+
+def _partitioned(source: NDArray, points: NDArray, rng: np.random.Generator) -> NDArray:
+    """A bijection [n]: both sets are halved along random directions until all parts are single."""
+    n = len(source)
+    angles, part = rng.random((n.bit_length(), 2)) * np.pi, np.zeros(n, np.int64)
+    order = [np.arange(n), np.arange(n)]
+    for k in range((n - 1).bit_length()):
+        # Two directions a level, taken by turns: parts beside each other are cut differently.
+        angle = angles[k][part % 2]
+        axis = np.stack([np.cos(angle), np.sin(angle)], 1)
+        for i, side in enumerate((source, points)):
+            at = (side[order[i]] * axis).sum(1)
+            order[i] = order[i][np.lexsort((at, part))]
+        first = np.flatnonzero(np.diff(part, prepend=-1))
+        size = np.diff(first, append=n)
+        rank = np.arange(n) - np.repeat(first, size)
+        second = rank >= np.repeat((size + 1) // 2, size)
+        part = np.cumsum(np.diff(2 * part + second, prepend=-1) > 0) - 1
+    plan = np.empty(n, np.int64)
+    plan[order[0]] = order[1]
+    return plan
+
+
+def _merged(source: NDArray, points: NDArray, one: NDArray, other: NDArray) -> NDArray:
+    """The cheaper of two bijections on every set of cells that both send to the same points."""
+    n = len(one)
+    owner = np.empty(n, np.int64)
+    owner[one] = np.arange(n)
+    links = sparse.coo_matrix((np.ones(n, np.int8), (np.arange(n), owner[other])), shape=(n, n))
+    count, cycle = csgraph.connected_components(links, directed=False)
+    gain = np.square(source - points[one]).sum(1) - np.square(source - points[other]).sum(1)
+    better = np.bincount(cycle, gain, count) > 0
+    return np.where(better[cycle], other, one)
 
 
 def _sliced(source: NDArray, points: NDArray, rng: np.random.Generator) -> NDArray:
@@ -93,7 +125,9 @@ def _sliced(source: NDArray, points: NDArray, rng: np.random.Generator) -> NDArr
     return moved
 
 
-def _exchanged(points: NDArray, plan: NDArray, resolution: int, seed: int) -> NDArray:
+def _exchanged(
+    points: NDArray, plan: NDArray, resolution: int, rng: np.random.Generator
+) -> NDArray:
     """``plan`` after exchanging partners wherever two cells within ``REACH`` gain by it.
 
     For cells d apart that is where :math:`\\langle d, t_j - t_i \\rangle < 0`.
@@ -102,7 +136,7 @@ def _exchanged(points: NDArray, plan: NDArray, resolution: int, seed: int) -> ND
     to, at = plan.reshape(n, n).copy(), points[plan].reshape(n, n, 2).copy()
     reach = min(REACH, n - 1)
     offsets = [(a, b) for a in range(reach + 1) for b in range(-reach, reach + 1) if a > 0 or b > 0]
-    for k in np.random.default_rng(seed).permutation(len(offsets)):
+    for k in rng.permutation(len(offsets)):
         a, b = offsets[k]
         apart = np.array([b, a], float)
         rows, columns = np.arange(n - a), np.arange(max(0, -b), n - max(0, b))
@@ -123,18 +157,13 @@ def _exchanged(points: NDArray, plan: NDArray, resolution: int, seed: int) -> ND
 
 
 def _refined(
-    source: NDArray, points: NDArray, plan: NDArray, resolution: int, seed: int
+    source: NDArray, points: NDArray, plan: NDArray, plans: list[NDArray], resolution: int
 ) -> NDArray[np.int64]:
-    """The best plan that uses partners of near cells, or of other bijections."""
+    """The best plan that uses partners of near cells, or of the other ``plans``."""
     import ot
-    import ot.bsp
-    import scipy.sparse as sparse
 
     n = resolution * resolution
-    if n == 1:
-        return plan
-    _, _, others = ot.bsp.compute_bspot_bijection(source, points, n_plans=EXTRA_PLANS, seed=seed)
-    start, end = [np.tile(np.arange(n), len(others))], [np.asarray(others, np.int64).ravel()]
+    start, end = [np.tile(np.arange(n), len(plans))], [np.concatenate(plans)]
     near, to = np.arange(n).reshape(resolution, resolution), plan.reshape(resolution, resolution)
     reach = min(CANDIDATES, resolution - 1)
     for a in range(-reach, reach + 1):
