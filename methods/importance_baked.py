@@ -4,23 +4,21 @@ from __future__ import annotations
 
 import copy
 import math
-from pathlib import Path
 from typing import ClassVar
 
 import drjit as dr
 import torch
 from torch import Tensor, nn
 
-from harness.columns import ColumnMethod, Columns, Float
-from harness.fitting import ModuleMethod
-from harness.fitting.precision import PRECISIONS, checked_precision, round_weights
-from harness.fitting.train import minimise
-from harness.importance_maps.database import BakeSettings, Maps
-from harness.importance_maps.training import MapBatches, maps_for
+from harness.columns import Columns, Float
+from harness.fitting.precision import PRECISIONS, checked_precision
+from harness.importance_maps.baked_method import BakedMethod
+from harness.importance_maps.database import Maps
+from harness.importance_maps.training import MapBatches
 from harness.nets import ConditionEncoder, defensive, spline
 from harness.nets.coupling import CouplingNet
 from harness.nets.extremes import FAR, held
-from harness.protocol import Budget, FitReport, InputError, Knob, Material
+from harness.protocol import Budget, InputError, Knob, Material
 
 SUPERVISIONS = ("both", "likelihood", "map")
 _AREA = 4.0
@@ -38,7 +36,7 @@ class MonotoneMap(nn.Module):
         self.y_given_x = CouplingNet(encoded, width, numbers, frequencies, layers)
 
 
-class ImportanceBaked(ModuleMethod, ColumnMethod):
+class ImportanceBaked(BakedMethod):
     r"""A network compresses optimal-transport maps: Bai et al. (2023), made exact.
 
     The paper bakes for each slice the transport map T from the unit square to the disk, lets a
@@ -116,44 +114,23 @@ class ImportanceBaked(ModuleMethod, ColumnMethod):
                 f"{self.name}: supervision is '{supervision}'; expected one of {SUPERVISIONS}"
             )
         self.width, self.layers, self.bins, self.frequencies = width, layers, bins, frequencies
-        self.slices, self.kind, self.supervision = slices, kind, supervision
-        self.settings = BakeSettings(kind, resolution, max(64, resolution))
+        self.supervision = supervision
+        self.bake_with(slices, resolution, kind, database)
         self.uniform = defensive.checked_share(uniform, self.name)
         self.precision = checked_precision(precision, self.name)
-        self.database = Path(database) if database else None
 
     def build(self, material: Material) -> MonotoneMap:
         """See :meth:`ModuleMethod.build`."""
         return MonotoneMap(material, self.width, self.layers, self.bins, self.frequencies)
 
-    def fit(self, material: Material, budget: Budget, generator: torch.Generator) -> FitReport:
-        """See :meth:`Method.fit`: bake the maps, then learn them."""
-        self.material = material
-        seed = int(torch.randint(1 << 62, (), generator=generator))
-        with torch.random.fork_rng(devices=[]):
-            torch.manual_seed(seed)
-            self.module = self.build(material)
-        if budget.steps == 0:
-            return FitReport()
-        maps = maps_for(material, self.settings, self.slices, budget, self.database)
-        batches = MapBatches(maps, budget.device)
-        self.module.to(budget.device)
-        self.module.encoder.standardise(batches.condition)
-        left = [budget.steps]
-
-        def loss() -> Tensor:
-            left[0] -= 1
-            return self.baked_loss(batches, budget, generator, left[0] / budget.steps)
-
-        report = minimise(self.module, loss, batches, budget, learning_rate=self.learning_rate)
-        round_weights(self.module, self.precision)
-        report.notes = _notes(maps)
-        return report
+    def meet(self, condition: Tensor) -> None:
+        """See :meth:`BakedMethod.meet`."""
+        self.module.encoder.standardise(condition)
 
     def baked_loss(
         self, batches: MapBatches, budget: Budget, generator: torch.Generator, left: float
     ) -> Tensor:
-        """One batch's loss; ``left`` is the part of the fit still to come, from one to zero."""
+        """See :meth:`BakedMethod.baked_loss`."""
         condition, u, wo, _ = batches.draw(budget.conditions, budget.directions, generator)
         ab, log_slope = self._to_square(self.module, condition, wo)
         likelihood = math.log(_AREA) - log_slope
@@ -183,6 +160,11 @@ class ImportanceBaked(ModuleMethod, ColumnMethod):
         outside = (b.abs() >= 1) | (squared <= 0)
         slope = torch.where(outside, -math.inf, slope_a + slope_b - log_chord)
         return torch.stack([a, b], -1), slope
+
+    def notes(self, maps: Maps) -> str:
+        """See :meth:`BakedMethod.notes`."""
+        said = super().notes(maps)
+        return f"{said}, {maps.black} black conditions left out" if maps.black else said
 
     @torch.no_grad()
     def inverse(self, condition: Tensor, wo: Tensor) -> Tensor:
@@ -240,8 +222,3 @@ def _chord(x: Float) -> Float:
     """Half the disk's height at ``x``; one where there is no disk."""
     squared = (1 - x) * (1 + x)
     return dr.sqrt(dr.select(squared > 0, squared, 1))
-
-
-def _notes(maps: Maps) -> str:
-    notes = f"{len(maps)} importance maps"
-    return f"{notes}, {maps.black} black conditions left out" if maps.black else notes

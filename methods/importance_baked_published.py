@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any, ClassVar
 
 import drjit as dr
 import torch
 from torch import Tensor, nn
 
-from harness.columns import ColumnMethod, Columns, Float, columns_of, tensor_of
-from harness.fitting import ModuleMethod
-from harness.fitting.train import minimise
-from harness.importance_maps.database import BakeSettings
-from harness.importance_maps.training import MapBatches, maps_for
+from harness.columns import Columns, Float, columns_of, tensor_of
+from harness.importance_maps.baked_method import BakedMethod
+from harness.importance_maps.database import Maps
+from harness.importance_maps.training import MapBatches
 from harness.nets import MLP
 from harness.nets.blobs import TableEncoder
-from harness.protocol import Budget, FitReport, InputError, Knob, Material
+from harness.protocol import Budget, InputError, Knob, Material, Method
 
 _LAMBDA = 0.4
 """Of the weight's loss beside the direction's, the paper's section 5.2."""
@@ -40,7 +38,7 @@ class ThreeNetworks(nn.Module):
         )
 
 
-class ImportanceBakedPublished(ModuleMethod, ColumnMethod):
+class ImportanceBakedPublished(BakedMethod):
     r"""Three networks, as Bai et al. (2023): **biased**, and its pdf is no density.
 
     A sampling network learns the importance maps: (condition, :math:`\xi`) to the direction and
@@ -89,46 +87,31 @@ class ImportanceBakedPublished(ModuleMethod, ColumnMethod):
                 f"{self.name}: expected at least one of width, layers and slices,"
                 f" not {width}, {layers} and {slices}"
             )
-        self.width, self.layers, self.slices, self.kind = width, layers, slices, kind
-        self.settings = BakeSettings(kind, resolution, max(64, resolution))
-        self.database = Path(database) if database else None
+        self.width, self.layers = width, layers
+        self.bake_with(slices, resolution, kind, database)
 
     def build(self, material: Material) -> ThreeNetworks:
         """See :meth:`ModuleMethod.build`."""
         return ThreeNetworks(material, self.width, self.layers)
 
     def reference_pdf(self, condition: Tensor, wo: Tensor) -> Tensor | None:
-        """See :meth:`Method.reference_pdf`; the network's guess in double precision."""
+        """See :meth:`Method.reference_pdf`: a guess has no other route to it."""
         return None
 
     # --- fitting -----------------------------------------------------------------------
 
-    def fit(self, material: Material, budget: Budget, generator: torch.Generator) -> FitReport:
-        """See :meth:`Method.fit`: bake the maps, then train the networks, all on one batch."""
-        self.material = material
-        seed = int(torch.randint(1 << 62, (), generator=generator))
-        with torch.random.fork_rng(devices=[]):
-            torch.manual_seed(seed)
-            self.module = self.build(material)
-        if budget.steps == 0:
-            return FitReport()
-        maps = maps_for(material, self.settings, self.slices, budget, self.database)
-        batches = MapBatches(maps, budget.device)
-        self.module.to(budget.device)
-        self.module.encoder.fit_range(batches.condition)
-        report = minimise(
-            self.module,
-            lambda: self.baked_loss(batches, budget, generator),
-            batches,
-            budget,
-            learning_rate=self.learning_rate,
-            weight_decay=self.weight_decay,
-        )
-        report.notes = f"{len(maps)} importance maps; {self.note}"
-        return report
+    def meet(self, condition: Tensor) -> None:
+        """See :meth:`BakedMethod.meet`."""
+        self.module.encoder.fit_range(condition)
 
-    def baked_loss(self, batches: MapBatches, budget: Budget, generator: torch.Generator) -> Tensor:
-        """Sum of the three losses; the networks share no parameter."""
+    def notes(self, maps: Maps) -> str:
+        """See :meth:`BakedMethod.notes`."""
+        return f"{super().notes(maps)}; {self.note}"
+
+    def baked_loss(
+        self, batches: MapBatches, budget: Budget, generator: torch.Generator, left: float
+    ) -> Tensor:
+        """Sum of the three losses, all on one batch; the networks share no parameter."""
         condition, u, wo, row = batches.draw(budget.conditions, budget.directions, generator)
         encoded = self.module.encoder(condition)[:, None].expand(-1, u.shape[1], -1)
         weight = batches.at(row, wo)[1]
@@ -209,4 +192,4 @@ class ImportanceBakedOneNetwork(ImportanceBakedPublished):
     def _pdf(self, c: Columns, encoded: Columns, x: Float, y: Float) -> Float:
         return self.material.native_pdf_columns(c, [x, y])
 
-    eval = ModuleMethod.eval
+    eval = Method.eval

@@ -66,6 +66,17 @@ def test_fast_plan_is_near_the_exact_one(lobe):
     assert exact <= fast < 1.03 * exact
 
 
+@pytest.mark.parametrize("refine", [True, False])
+def test_points_on_the_grid_stay(refine):
+    """Distances of zero are edges of the plan like all others."""
+    points = grid(12)
+    np.testing.assert_array_equal(transport(points, refine=refine), np.arange(144))
+    shuffled = np.random.default_rng(1).permutation(144)
+    assert cost(points[shuffled], transport(points[shuffled], refine=refine)) < (
+        1e-20 if refine else 0.02
+    )
+
+
 def test_refused_numbers_of_points():
     with pytest.raises(ValueError, match="square number"):
         transport(np.zeros((10, 2)))

@@ -7,27 +7,25 @@ from typing import Annotated
 
 import typer
 
+from harness.cli.suites import Device, Only, Profile, Retry, Suite, failed_again, planned
+
 
 def register(app: typer.Typer) -> None:
     """Add the verb to ``app``."""
 
     @app.command()
     def fit(
-        suite: Annotated[str, typer.Argument(help="A suite: a .yaml file, or a name of suites/.")],
+        suite: Suite,
         results: Annotated[
             Path | None, typer.Option(help="Results folder; by default results/<suite>.")
         ] = None,
         out: Annotated[
             Path | None, typer.Option(help="Where the fits go; by default harness/fitted.")
         ] = None,
-        profile: Annotated[
-            str | None, typer.Option(help="quick or full; by default quick.")
-        ] = None,
-        only: Annotated[
-            str | None, typer.Option(help="A part of it, such as material=A,method=B.")
-        ] = None,
-        retry: Annotated[str | None, typer.Option(help="failed: run failed trials again.")] = None,
-        device: Annotated[str, typer.Option(help="cpu or cuda.")] = "cpu",
+        profile: Profile = None,
+        only: Only = None,
+        retry: Retry = None,
+        device: Device = "cpu",
     ) -> None:
         """Run the fits that are not stored yet, and keep all where later runs find them.
 
@@ -36,27 +34,20 @@ def register(app: typer.Typer) -> None:
         """
         from rich.console import Console
 
-        from harness.protocol import InputError
-        from harness.runner import preflight, shipped
+        from harness.runner import shipped
         from harness.runner.only import parse
         from harness.runner.run import Options
         from harness.runner.run import run as carry_out
         from harness.store import load_trial, stored
         from harness.suite.load import load
-        from harness.suite.plan import make_plan
         from harness.suite.trials import FIT
 
-        if retry not in (None, "failed"):
-            raise InputError(f"--retry {retry}: expected 'failed'")
-        loaded = load(suite)
-        preflight.ready(device)
-        plan = make_plan(loaded, profile, device)
+        again = failed_again(retry)
+        plan = planned(load(suite), profile, device)
         folder = results or Path("results") / plan.suite
         console = Console(highlight=False)
         chosen = f"{only},measure={FIT}" if only else f"measure={FIT}"
-        status = carry_out(
-            plan, folder, Options(chosen, "local", retry == "failed", refit=True), console
-        )
+        status = carry_out(plan, folder, Options(chosen, "local", again, refit=True), console)
         # An interrupted run, too, leaves fits that are finished.
         wanted, there = parse(chosen, plan), set(stored(folder))
         fits = [t for t in plan.trials if t in wanted and t.hash in there]

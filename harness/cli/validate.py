@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Annotated
-
 import typer
+
+from harness.cli.suites import Device, Suite
 
 
 def register(app: typer.Typer) -> None:
@@ -12,8 +12,8 @@ def register(app: typer.Typer) -> None:
 
     @app.command()
     def validate(
-        suite: Annotated[str, typer.Argument(help="A suite: a .yaml file, or a name of suites/.")],
-        device: Annotated[str, typer.Option(help="cpu or cuda.")] = "cpu",
+        suite: Suite,
+        device: Device = "cpu",
     ) -> None:
         """Check every name, key, type, file and adapter of a suite, in all its profiles."""
         from harness.runner import preflight

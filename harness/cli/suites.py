@@ -1,0 +1,58 @@
+"""What the verbs that run a suite share: their arguments, the plan, and the report at the end."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:
+    from harness.runner.run import Options
+    from harness.suite.load import Loaded
+    from harness.suite.plan import Plan
+
+Suite = Annotated[str, typer.Argument(help="A suite: a .yaml file, or a name of suites/.")]
+Profile = Annotated[str | None, typer.Option(help="quick or full; by default quick.")]
+Only = Annotated[str | None, typer.Option(help="A part of it, such as material=A,method=B.")]
+Retry = Annotated[str | None, typer.Option(help="failed: run failed trials again.")]
+Device = Annotated[str, typer.Option(help="cpu or cuda.")]
+
+
+def failed_again(retry: str | None) -> bool:
+    """Whether ``--retry`` was given.
+
+    Raises:
+        InputError: it asks for something else than ``failed``.
+    """
+    from harness.protocol import InputError
+
+    if retry not in (None, "failed"):
+        raise InputError(f"--retry {retry}: expected 'failed'")
+    return retry == "failed"
+
+
+def planned(loaded: Loaded, profile: str | None, device: str) -> Plan:
+    """The suite's trials, on a machine that can run them."""
+    from harness.runner import preflight
+    from harness.suite.plan import make_plan
+
+    preflight.ready(device)
+    return make_plan(loaded, profile, device)
+
+
+def run_and_report(plan: Plan, results: Path, options: Options) -> int:
+    """Carry out what is not stored, then write the report and print its tables; the exit status."""
+    from rich.console import Console
+
+    from harness.runner.run import INTERRUPTED, run
+
+    console = Console(highlight=False)
+    status = run(plan, results, options, console)
+    if not options.dry_run and status != INTERRUPTED:
+        from harness import report
+
+        files = report.make(results)
+        report.print_tables(results, console)
+        console.print(f"report: {files[0]}", soft_wrap=True)
+    return status

@@ -1,0 +1,81 @@
+"""Methods that are one module, learned from baked importance maps."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from pathlib import Path
+
+import torch
+from torch import Tensor
+
+from harness.columns import ColumnMethod
+from harness.fitting import ModuleMethod
+from harness.fitting.precision import round_weights
+from harness.fitting.train import minimise
+from harness.importance_maps.database import BakeSettings, Maps
+from harness.importance_maps.training import MapBatches, maps_for
+from harness.protocol import Budget, FitReport, Material
+
+
+class BakedMethod(ModuleMethod, ColumnMethod):
+    """A fit bakes the maps of a material's slices, then learns from cells of them.
+
+    ``slices`` maps are baked, no more than the budget's ``pool``, or read from ``database``, a
+    folder that ``harness bake`` made. A subclass builds the module, looks at the conditions once
+    (:meth:`meet`) and gives the loss of a batch (:meth:`baked_loss`).
+    """
+
+    slices: int
+    settings: BakeSettings
+    database: Path | None
+
+    def bake_with(self, slices: int, resolution: int, kind: str, database: str) -> None:
+        """``slices`` maps of ``resolution``^2 cells of the ``kind``, or those of ``database``."""
+        self.slices, self.kind = slices, kind
+        self.settings = BakeSettings(kind, resolution, max(64, resolution))
+        self.database = Path(database) if database else None
+
+    def fit(self, material: Material, budget: Budget, generator: torch.Generator) -> FitReport:
+        """See :meth:`Method.fit`."""
+        self.material = material
+        seed = int(torch.randint(1 << 62, (), generator=generator))
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(seed)
+            self.module = self.build(material)
+        if budget.steps == 0:
+            return FitReport()
+        maps = maps_for(material, self.settings, self.slices, budget, self.database)
+        batches = MapBatches(maps, budget.device)
+        self.module.to(budget.device)
+        self.meet(batches.condition)
+        left = [budget.steps]
+
+        def loss() -> Tensor:
+            left[0] -= 1
+            return self.baked_loss(batches, budget, generator, left[0] / budget.steps)
+
+        report = minimise(
+            self.module,
+            loss,
+            batches,
+            budget,
+            learning_rate=self.learning_rate,
+            weight_decay=self.weight_decay,
+        )
+        round_weights(self.module, self.precision)
+        report.notes = self.notes(maps)
+        return report
+
+    @abstractmethod
+    def meet(self, condition: Tensor) -> None:
+        """Look at the conditions [P, C] of the maps once before fitting."""
+
+    @abstractmethod
+    def baked_loss(
+        self, batches: MapBatches, budget: Budget, generator: torch.Generator, left: float
+    ) -> Tensor:
+        """One batch's loss; ``left`` is the part of the fit still to come, from one to zero."""
+
+    def notes(self, maps: Maps) -> str:
+        """What is said of a fit."""
+        return f"{len(maps)} importance maps"
