@@ -29,8 +29,10 @@ class CaseProperty:
     also: tuple[str, ...] = ()
 
 
-def _weights_of(subject: Subject) -> Callable[[Subject, Case, float], Found]:
-    return check_weights if subject.method.exact_pdf else check_own_weights
+def _check_weights(subject: Subject, case: Case, alpha: float) -> Found:
+    """Of f/pdf, or of what a method whose pdf is no more than an approximation gives itself."""
+    check = check_weights if subject.method.exact_pdf else check_own_weights
+    return check(subject, case, alpha)
 
 
 PER_CASE: dict[str, CaseProperty] = {
@@ -40,13 +42,7 @@ PER_CASE: dict[str, CaseProperty] = {
     "integral": CaseProperty(distribution.check_integral, 1),
     "samples-pdf": CaseProperty(distribution.check_samples, 1),
     "tail": CaseProperty(check_tail, 1),
-    "weights": CaseProperty(
-        lambda s, c, alpha: (check_weights if s.method.exact_pdf else check_own_weights)(
-            s, c, alpha
-        ),
-        2,
-        ("largest-weight", "tail-index", "invalid"),
-    ),
+    "weights": CaseProperty(_check_weights, 2, ("largest-weight", "tail-index", "invalid")),
     "float64": CaseProperty(lambda s, c, alpha: precision.check_float64(s, c)),
     "gradients": CaseProperty(lambda s, c, alpha: check_gradients(s, c)),
     "invertible": CaseProperty(lambda s, c, alpha: check_invertible(s, c)),

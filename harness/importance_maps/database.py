@@ -74,10 +74,6 @@ class Maps:
     def __len__(self) -> int:
         return len(self.condition)
 
-    def slice_of(self, index: int) -> Slice:
-        """The slice of one map."""
-        return Slice((self.rgb[index].double() * self.scale[index].double()).numpy())
-
     @classmethod
     def of(cls, shards: list[dict[str, Tensor]], seconds: float = 0.0) -> Maps:
         """Shards put together."""

@@ -13,7 +13,7 @@ from typing import Any
 from harness import machine, microgeometry
 from harness.materials.neural import storage
 from harness.materials.neural.architecture import Architecture
-from harness.materials.neural.profiles import PROFILES, Profile
+from harness.materials.neural.profiles import Profile
 from harness.materials.neural.profiles import profile as find_profile
 from harness.materials.neural.quality import Held, footprints
 from harness.materials.neural.training import Data, Training
@@ -118,8 +118,3 @@ def _data(surface: Any, training: Training, profile: Profile, notify: Notify) ->
         surface, profile.queries, training.seed, kernel, profile.samples, device=training.device
     )
     return Data(*drawn), time.perf_counter() - start
-
-
-def known_profiles() -> list[str]:
-    """Names of the profiles."""
-    return list(PROFILES)

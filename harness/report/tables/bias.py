@@ -37,8 +37,8 @@ def bias(results: Results) -> Table | str:
         name="bias",
         title="Bias",
         caption=(
-            "p-value of the test of the method's mean image against a long render by Mitsuba's "
-            "own sampler and light sampling, after "
+            "p-value of the test of the method's mean image against a long render with light "
+            "sampling, by Mitsuba's own sampler (the cosine's for a material without one), after "
             f"Holm's correction over the {len(corrected)} tests of this table. Below {LEVEL:g} "
             f"the method is biased (‡): {found or 'none'} of {len(corrected)}. {said}"
         ).strip(),
