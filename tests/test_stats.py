@@ -13,7 +13,6 @@ from scipy import stats
 
 from harness.stats import (
     Cells,
-    Moments,
     agreement,
     chi_square,
     chi_square_divergence,
@@ -45,15 +44,6 @@ class TestMoments:
         x = np.random.default_rng(0).normal(3, 2, (50, 4))
         found = one_sample_variance(x.mean(0), (x**2).mean(0), 50)
         assert found == pytest.approx(x.var(0, ddof=1))
-
-    @settings(max_examples=30, deadline=None)
-    @given(hnp.arrays(float, 24, elements=st.floats(-10, 10)), st.integers(2, 22))
-    def test_merging_is_as_if_never_split(self, x: np.ndarray, at: int) -> None:
-        parts = [Moments(p.mean(), (p**2).mean(), len(p)) for p in (x[:at], x[at:])]
-        merged = Moments.merge(parts)
-        assert merged.n == 24
-        assert merged.variance == pytest.approx(x.var(ddof=1), abs=1e-9)
-        assert merged.variance_of_mean == pytest.approx(x.var(ddof=1) / 24, abs=1e-9)
 
     def test_from_batches_is_unbiased(self) -> None:
         x = np.random.default_rng(1).normal(0, 2, (4000, 16, 10)).mean(2)

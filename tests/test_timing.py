@@ -221,6 +221,21 @@ def test_more_rounds_for_the_wide_ones_only():
     assert timings.width(2) <= 0.1 and timings.mark(2)[0].value == 0
 
 
+def test_more_rounds_for_a_chain_of_rivals():
+    """A render that runs again because its metered twin is wide has its own rival beside it."""
+    clock = Clock(noise=0.002, drift=0)
+    noisy = np.random.default_rng(3)
+    chain = [
+        Contender("baseline", lambda _: clock.work(1)),
+        Contender("bare", lambda _: clock.work(2), rival=0),
+        Contender("metered", lambda _: 3 * math.exp(0.08 * noisy.normal()), rival=1),
+    ]
+    timings = interleave(chain, RoundSettings(rounds=6, max_rounds=400), quiet)
+    taken = [len(timings.seconds(i)) for i in range(3)]
+    assert taken[0] == taken[1] == taken[2] > 6
+    assert timings.ratio(1).value == pytest.approx(2, rel=0.01)
+
+
 def test_a_disturbed_measurement_says_so():
     """How wide, and after how many rounds; all rounds are kept."""
     noisy = np.random.default_rng(0)

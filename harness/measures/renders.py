@@ -61,7 +61,8 @@ def enter(job: Job, settings: RenderSettings, notify: Callable[[str], None]) -> 
         seconds = settle(once, settings, spent=spent)
         wanted = int(settings.slice_seconds / (seconds / entrant.spp))
         grow = wanted > 1.5 * entrant.spp
-        # At least two samples a pixel: one has no variance.
+        # At least two samples a pixel: one has no variance. At most eight times as many at once:
+        # a launch costs the same for all of them, so few samples look dearer than they are.
         entrant.spp = max(2, min(wanted, 8 * entrant.spp))
-        if not grow or spent > settings.warm_up:
+        if not grow:
             return entrant

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -135,14 +135,24 @@ def interleave(
             wide = timings.disturbed(*everybody)
             if not wide:
                 break
-            rivals = {contenders[i].rival for i in wide} - {None}
-            running, of = sorted({*wide, *rivals}), most
+            running, of = sorted(_with_rivals(contenders, wide)), most
         notify(f"timing round {number + 1} of {of}, {len(running)} contenders")
         turn = number % len(running)
         for index in running[turn:] + running[:turn]:
             timings.take(index, number)
     timings.wall = now() - start
     return timings
+
+
+def _with_rivals(contenders: Sequence[Contender], wanted: Iterable[int]) -> set[int]:
+    """``wanted``, their rivals, and the rivals of those: whoever runs needs its rival's time."""
+    found: set[int] = set()
+    for index in wanted:
+        step: int | None = index
+        while step is not None and step not in found:
+            found.add(step)
+            step = contenders[step].rival
+    return found
 
 
 def settle(

@@ -149,8 +149,3 @@ class XmlScene:
     lights: frozenset[str] = frozenset({"environment"})
     camera_has_lens: bool = False
     media: bool = False
-
-    @property
-    def tested_ids(self) -> list[str]:
-        """Ids of the BSDFs that give way to the material under test."""
-        return [name for name, material in self.replace_bsdf.items() if material == TESTED]

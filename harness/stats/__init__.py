@@ -33,7 +33,7 @@ from harness.stats.log_estimate import (
     log_median,
     log_ratio_of_medians,
 )
-from harness.stats.moments import Moments, one_sample_variance, variance_from_batches
+from harness.stats.moments import one_sample_variance, variance_from_batches
 from harness.stats.ztest import Agreement, agreement, holm
 
 __all__ = [
@@ -43,7 +43,6 @@ __all__ = [
     "Crossing",
     "Interval",
     "LogEstimate",
-    "Moments",
     "Spread",
     "agreement",
     "chi_square",

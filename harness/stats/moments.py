@@ -10,10 +10,6 @@ It is the error per sample of an estimator, and needs no reference image.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import dataclass
-from functools import reduce
-
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -47,37 +43,3 @@ def variance_from_batches(first: ArrayLike, n: float) -> NDArray:
     if len(first) < 2:
         raise ValueError(f"a spread of batches needs at least two, got {len(first)}")
     return first.var(axis=0, ddof=1) * n
-
-
-@dataclass(frozen=True)
-class Moments:
-    """Averages of ``n`` samples and of their squares; ``+`` pools independent batches."""
-
-    first: NDArray
-    second: NDArray
-    n: float
-
-    def __add__(self, other: Moments) -> Moments:
-        """Both batches as one: averages weighted by the number of samples."""
-        n = self.n + other.n
-        a, b = self.n / n, other.n / n
-        return Moments(
-            a * np.asarray(self.first, float) + b * np.asarray(other.first, float),
-            a * np.asarray(self.second, float) + b * np.asarray(other.second, float),
-            n,
-        )
-
-    @staticmethod
-    def merge(batches: Iterable[Moments]) -> Moments:
-        """All batches as one."""
-        return reduce(Moments.__add__, batches)
-
-    @property
-    def variance(self) -> NDArray:
-        """Unbiased variance of one sample."""
-        return one_sample_variance(self.first, self.second, self.n)
-
-    @property
-    def variance_of_mean(self) -> NDArray:
-        """Unbiased variance of ``first``."""
-        return self.variance / self.n
