@@ -6,6 +6,7 @@ network, the warp and the density as one loop over SIMD packets, on CPU (LLVM) a
 """
 
 from harness.columns.bridge import Columns, Float, columns_of, tensor_of
+from harness.columns.material import ColumnMaterial
 from harness.columns.method import ColumnMethod
 
-__all__ = ["ColumnMethod", "Columns", "Float", "columns_of", "tensor_of"]
+__all__ = ["ColumnMaterial", "ColumnMethod", "Columns", "Float", "columns_of", "tensor_of"]

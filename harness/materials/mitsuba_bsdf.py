@@ -8,9 +8,9 @@ from typing import Any
 
 import drjit as dr
 import numpy as np
-import torch
 from torch import Tensor
 
+from harness.columns import ColumnMaterial
 from harness.columns.bridge import Columns, Float, columns_of, tensor_of
 from harness.protocol import InputError, Material
 
@@ -25,7 +25,7 @@ def _mi() -> Any:
     return mitsuba
 
 
-class MitsubaMaterial(Material):
+class MitsubaMaterial(ColumnMaterial):
     """A reflective Mitsuba BSDF.
 
     ``bsdf`` is a Mitsuba dictionary, in which ``{"type": "bitmap", "array": ndarray}`` stands
@@ -100,39 +100,6 @@ class MitsubaMaterial(Material):
         si = dr.zeros(mi.SurfaceInteraction3f, len(uv))
         si.uv = mi.Point2f(*columns_of(uv))
         return tensor_of(*self._place(si), rows=len(uv))
-
-    def eval(self, condition: Tensor, wo: Tensor) -> Tensor:
-        """See :meth:`Material.eval`."""
-        n = len(condition)
-        if n == 0:
-            return condition.new_empty(0, 3)
-        with torch.inference_mode():
-            f = self.eval_columns(columns_of(condition), columns_of(wo))
-            return tensor_of(*f, rows=n)
-
-    def target(self, condition: Tensor, wo: Tensor) -> Tensor:
-        """See :meth:`Material.target`; fused, for it is evaluated by the hundred million."""
-        n = len(condition)
-        if n == 0:
-            return condition.new_empty(0)
-        with torch.inference_mode():
-            f = self.eval_columns(columns_of(condition), columns_of(wo))
-            return tensor_of(dr.abs(_mi().luminance(f)), rows=n)
-
-    def target_grid(self, condition: Tensor, wo: Tensor) -> Tensor:
-        """See :meth:`Material.target_grid`; rows and directions are gathered in the kernel."""
-        n, m = len(condition), wo.shape[1]
-        if n * m == 0:
-            return condition.new_empty(n, m)
-        with torch.inference_mode():
-            c, (x, y) = columns_of(condition), columns_of(wo.reshape(-1, 2))
-            mi = _mi()
-            index = dr.arange(mi.UInt32, n * m)
-            row = index // m
-            point = index if len(wo) == n else index % m
-            wide = [dr.gather(mi.Float, column, row) for column in c]
-            f = self.eval_columns(wide, [dr.gather(mi.Float, v, point) for v in (x, y)])
-            return tensor_of(dr.abs(mi.luminance(f)), rows=n * m).view(n, m)
 
     def eval_columns(self, c: Columns, wo: Columns) -> Any:
         """BSDF without cosine over columns: a Mitsuba colour."""

@@ -11,17 +11,17 @@ import drjit as dr
 import torch
 from torch import Tensor
 
+from harness.columns import ColumnMaterial
 from harness.columns.bridge import Columns, Float, columns_of, tensor_of
 from harness.materials.families.parameters import Parameter, check
 from harness.materials.families.slices import slices
-from harness.protocol import Material, square_to_disk
-from harness.protocol.disk import REC709
+from harness.protocol import square_to_disk
 
 SWATCHES = 8
 """Tiles per side of the board on which a family of more than two free parameters is laid out."""
 
 
-class Family(Material):
+class Family(ColumnMaterial):
     """A parametric BSDF; condition ``[free parameters, wi.xy]``, no address.
 
     ``model`` are all parameters of the model in their order, ``fixed`` those that have one
@@ -111,37 +111,6 @@ class Family(Material):
         """
         return lambda row, wide, wo: self.eval_columns(wide, wo, seed)
 
-    def eval(self, condition: Tensor, wo: Tensor) -> Tensor:
-        """See :meth:`Material.eval`."""
-        n = len(condition)
-        if n == 0:
-            return condition.new_empty(0, 3)
-        with torch.inference_mode():
-            return tensor_of(*self.eval_columns(columns_of(condition), columns_of(wo)), rows=n)
-
-    def target(self, condition: Tensor, wo: Tensor) -> Tensor:
-        """See :meth:`Material.target`."""
-        n = len(condition)
-        if n == 0:
-            return condition.new_empty(0)
-        with torch.inference_mode():
-            f = self.eval_columns(columns_of(condition), columns_of(wo))
-            return tensor_of(dr.abs(_luminance(f)), rows=n)
-
-    def target_grid(self, condition: Tensor, wo: Tensor) -> Tensor:
-        """See :meth:`Material.target_grid`; rows and directions are gathered in the kernel."""
-        n, m = len(condition), wo.shape[1]
-        if n * m == 0:
-            return condition.new_empty(n, m)
-        with torch.inference_mode():
-            c, points = columns_of(condition), columns_of(wo.reshape(-1, 2))
-            array = type(c[0])
-            index = dr.arange(dr.uint32_array_t(array), n * m)
-            row, point = index // m, index if len(wo) == n else index % m
-            wide = [dr.gather(array, column, row) for column in c]
-            f = self.eval_columns(wide, [dr.gather(array, v, point) for v in points])
-            return tensor_of(dr.abs(_luminance(f)), rows=n * m).view(n, m)
-
     @abstractmethod
     def native_sample_columns(self, c: Columns, u: Columns) -> tuple[Float, Float, Float]:
         """A sampler of the model's own: ``(x, y, pdf)`` per disk area, from three uniforms.
@@ -175,7 +144,3 @@ def _tile(uv: Tensor) -> Tensor:
     """Which tile [N] of the board; it repeats beyond the unit square."""
     column, row = (uv.remainder(1) * SWATCHES).long().clamp(max=SWATCHES - 1).unbind(1)
     return row * SWATCHES + column
-
-
-def _luminance(rgb: Any) -> Float:
-    return REC709[0] * rgb[0] + REC709[1] * rgb[1] + REC709[2] * rgb[2]

@@ -10,17 +10,17 @@ import drjit as dr
 import torch
 from torch import Tensor
 
-from harness.columns.bridge import Columns, Float, backend, columns_of, tensor_of
+from harness.columns import ColumnMaterial
+from harness.columns.bridge import Columns, Float, columns_of, tensor_of
 from harness.materials.neural.column_lookup import ColumnTable
 from harness.materials.neural.network import NeuralMBTF
 from harness.materials.neural.offset import STEEPEST
-from harness.protocol import Material, counting, square_to_disk
-from harness.protocol.disk import REC709
+from harness.protocol import counting, square_to_disk
 
 EFFECTS = frozenset({"parallax", "prefiltering"})
 
 
-class NeuralMaterial(Material):
+class NeuralMaterial(ColumnMaterial):
     """A trained :class:`NeuralMBTF`: condition ``[features, wi.xy]``, no address.
 
     Stage 1 makes a condition (:meth:`condition_at`, :meth:`condition_columns`), stage 2 is
@@ -143,14 +143,6 @@ class NeuralMaterial(Material):
 
     # --- stage 2 -------------------------------------------------------------------------------
 
-    def eval(self, condition: Tensor, wo: Tensor) -> Tensor:
-        """See :meth:`Material.eval`."""
-        n = len(condition)
-        if n == 0:
-            return condition.new_empty(0, 3)
-        with torch.inference_mode():
-            return tensor_of(*self.eval_columns(columns_of(condition), columns_of(wo)), rows=n)
-
     def eval_columns(self, c: Columns, wo: Columns) -> Columns:
         """BSDF without cosine over columns: three of them."""
         x, y = wo
@@ -171,33 +163,6 @@ class NeuralMaterial(Material):
         squared = total[0] * total[0] + total[1] * total[1] + up * up
         scale = dr.rsqrt(dr.select(squared == 0, 1, squared))
         return [v * scale for v in total]
-
-    def target(self, condition: Tensor, wo: Tensor) -> Tensor:
-        """See :meth:`Material.target`; fused."""
-        if len(condition) == 0:
-            return condition.new_empty(0)
-        with torch.inference_mode():
-            found = _luminance(self.eval_columns(columns_of(condition), columns_of(wo)))
-            return tensor_of(found, rows=len(condition))
-
-    def target_grid(self, condition: Tensor, wo: Tensor) -> Tensor:
-        """See :meth:`Material.target_grid`; rows and directions are gathered in the kernel."""
-        n, m = len(condition), wo.shape[1]
-        if n * m == 0:
-            return condition.new_empty(n, m)
-        module = backend(condition.device)
-        with torch.inference_mode():
-            c, points = columns_of(condition), columns_of(wo.reshape(-1, 2))
-            index = dr.arange(module.UInt, n * m)
-            row = index // m
-            point = index if len(wo) == n else index % m
-            wide = [dr.gather(module.Float, column, row) for column in c]
-            at = [dr.gather(module.Float, v, point) for v in points]
-            return tensor_of(_luminance(self.eval_columns(wide, at)), rows=n * m).view(n, m)
-
-
-def _luminance(rgb: Columns) -> Float:
-    return sum(w * v for w, v in zip(REC709, rgb, strict=True))
 
 
 def _expm1(v: Float) -> Float:
