@@ -133,7 +133,9 @@ def test_an_adapter_twice_as_slow_reads_two(monkeypatch, seed):
     clock = Clock(seed=seed, pace=80)
     monkeypatch.setattr(timing, "now", clock.now)
     Paced.clock = clock
-    given = {"batch": 64, "rounds": 11, "max_rounds": 11, "max_seconds": 10.0}
+    # Each call a turn of its own: the machine's swing here is as fast as fifty of them.
+    given = {"batch": 64, "rounds": 11, "max_rounds": 11, "least_seconds": 0.0}
+    given["max_seconds"] = 10.0
     slow, base = throughput(Twice(Paced()), Paced(), **given)
     for metric in ("sample-time-ratio", "pdf-time-ratio"):
         value, low, high = interval(slow, metric)
@@ -144,6 +146,23 @@ def test_an_adapter_twice_as_slow_reads_two(monkeypatch, seed):
     # The drift does not cancel in the baseline's own seconds, and the record says so.
     assert interval(base, "disturbed")[0] == 1 and "paced sample" in base.reason
     assert len(slow.arrays["sample_seconds"]) == 11
+
+
+def test_short_calls_are_repeated_until_a_turn_is_long(monkeypatch):
+    """Fifty of a millisecond; what a row costs does not depend on it, and its noise does."""
+    widths = []
+    for least in (0.0, 0.05):
+        clock = Clock(noise=0.05, drift=0)
+        monkeypatch.setattr(timing, "now", clock.now)
+        Paced.clock = clock
+        given = {"batch": 64, "rounds": 12, "max_rounds": 12, "least_seconds": least}
+        _, base = throughput(Paced(), Paced(), **given)
+        value, low, high = interval(base, "samples-per-second")
+        assert value == pytest.approx(64 / 1.01e-3, rel=0.05)
+        # Of one call of the batch, however many there were.
+        assert base.arrays["sample_seconds"] == pytest.approx(1.01e-3, rel=0.2)
+        widths.append((high - low) / value)
+    assert widths[1] < widths[0] / 3
 
 
 @pytest.mark.slow

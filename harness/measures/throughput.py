@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -19,11 +20,16 @@ from harness.measures.timing import (
 
 
 class BatchSettings(RoundSettings):
-    """``batch`` rows, as a renderer's wavefront has them, or as many as ``max_seconds`` allow."""
+    """``batch`` rows, as a renderer's wavefront has them, or as many as ``max_seconds`` allow.
+
+    A call that takes less than ``least_seconds`` is repeated until it has taken that long, and its
+    time is the mean: a clock reads milliseconds well, a machine does not keep quiet for them.
+    """
 
     batch: int = 262_144
     rounds: int = 11
     max_seconds: float = 1.0
+    least_seconds: float = 0.05
 
 
 class Throughput(Measure):
@@ -59,12 +65,30 @@ class Throughput(Measure):
 
 
 @dataclass(frozen=True)
+class Repeated:
+    """A call on ``rows`` rows, ``times`` times in a row; warmed up."""
+
+    call: Callable[[], object]
+    rows: int
+    times: int
+
+    def __call__(self) -> None:
+        """All of them."""
+        for _ in range(self.times):
+            self.call()
+
+
+@dataclass(frozen=True)
 class Batch:
     """``sample`` and ``pdf`` of one method on ``rows`` rows, warmed up."""
 
-    sample: Callable[[], object]
-    pdf: Callable[[], object]
-    rows: int
+    sample: Repeated
+    pdf: Repeated
+
+    @property
+    def rows(self) -> int:
+        """Of a single call."""
+        return self.sample.rows
 
     def contenders(self, job: Job, first_rival: int | None) -> list[Contender]:
         """Sample and pdf, in seconds per row; their rivals are two in a row."""
@@ -72,9 +96,12 @@ class Batch:
         rivals = (None, None) if first_rival is None else (first_rival, first_rival + 1)
         return [
             Contender(
-                f"{name} {what}", lambda _, call=call: seconds_of(call, device), self.rows, rival
+                f"{name} {what}",
+                lambda _, work=work: seconds_of(work, device),
+                work.rows * work.times,
+                rival,
             )
-            for what, call, rival in zip(
+            for what, work, rival in zip(
                 ("sample", "pdf"), (self.sample, self.pdf), rivals, strict=True
             )
         ]
@@ -91,8 +118,10 @@ def prepare_batch(job: Job, settings: BatchSettings, notify: Callable[[str], Non
         if rows == settings.batch or fits < 2 * rows:
             break
         rows = int(min(settings.batch, fits, 64 * rows))
-    settle(lambda: seconds_of(pdf, device), settings)
-    return Batch(sample, pdf, rows)
+    once = {sample: seconds, pdf: settle(lambda: seconds_of(pdf, device), settings)}
+    return Batch(
+        *(Repeated(c, rows, max(1, math.ceil(settings.least_seconds / once[c]))) for c in once)
+    )
 
 
 def _calls(job: Job, rows: int) -> tuple[Callable[[], object], Callable[[], object]]:
