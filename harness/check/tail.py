@@ -4,11 +4,17 @@ Cells, sorted by their density per disk area, are joined from the lowest on unti
 eighth of all mass, and less in steps of the root of two. How many samples fall into each such
 union is binomial. A density floored at 1e-4 claims up to 3e-4 of the mass for places it never
 samples: forty of 2^17 samples, none of which comes.
+
+Counted are only samples where the density is at most a few times what a cell seemed to hold, and
+so is the mass. A ridge narrower than the distance of the points, which no estimate of the mass
+sees and samples find, is no part of the tail, however low the rest of its cell; it is left
+to chi-square, whose cells follow the samples.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 import torch
@@ -22,6 +28,7 @@ from harness.check.quadrature import (
     Masses,
     evaluate,
     hemisphere_to_square,
+    per_square,
     square_to_hemisphere,
 )
 from harness.check.subject import Case, Subject
@@ -40,6 +47,8 @@ LEVEL, FULL = 6, 32
 FRESH = 4
 """Evaluations of the masses, apart from the one that sorts: the lowest of noisy numbers are
 too low."""
+CEILING = 4.0
+"""Density, over a cell's average by the points that sorted it, up to which it counts as low."""
 ROUNDING = 5e-4
 """Relative: what single precision may cost a mass."""
 
@@ -63,10 +72,14 @@ def check_tail(subject: Subject, case: Case, alpha: float) -> Finding:
     order = np.argsort(rough / _disk_area(cells), kind="stable")
     order = order[: np.searchsorted(rough[order].cumsum(), LARGEST, side="right")]
     low = Cells(cells.start[order], cells.level[order])
-    fresh = [evaluate(density, low, rng) for _ in range(FRESH)]
+    ceiling = CEILING * rough / cells.side**2
+    fresh = [evaluate(_cut(density, ceiling[order]), low, rng) for _ in range(FRESH)]
     mass = np.mean([m.mass for m in fresh], 0)
     variance = np.sum([m.variance for m in fresh], 0) / FRESH**2
-    count = cells.count(found.places[0])[order]
+    points, valid = found.places
+    cell = cells.find(points)
+    counted = per_square(found.asked, found.drawn.wo)[valid] <= ceiling[cell]
+    count = np.bincount(cell[counted], minlength=len(cells))[order]
     below = rough[order].cumsum()
     return tail(case, below, Masses(low, mass, variance), count, SAMPLES, alpha)
 
@@ -124,6 +137,20 @@ def binomial(observed: int, n: int, mass: float, error: float, level: float) -> 
     # Too few against the least mass there may be, too many against the largest.
     few, many = stats.binom.cdf(observed, n, low), stats.binom.sf(observed - 1, n, high)
     return float(min(1.0, 2 * min(few, many) / 0.9))
+
+
+def _cut(density: Callable[[Tensor], Tensor], ceiling: NDArray) -> Callable[[Tensor], Tensor]:
+    """``density``, and 0 where it is above the ``ceiling`` [cells], per area of the square.
+
+    For points in the order of :func:`evaluate`; what is no number stays none.
+    """
+
+    def cut(wo: Tensor) -> Tensor:
+        pdf = density(wo)
+        high = per_square(pdf, wo) > np.repeat(ceiling, len(wo) // len(ceiling))
+        return torch.where(torch.from_numpy(high).to(pdf.device), 0, pdf)
+
+    return cut
 
 
 def _disk_area(cells: Cells) -> NDArray:
