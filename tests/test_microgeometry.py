@@ -10,7 +10,7 @@ from harness import microgeometry
 from harness.materials.procedural import fbm
 from harness.materials.registry import make
 from harness.microgeometry.estimate import reflectance
-from harness.microgeometry.queries import draw, truth
+from harness.microgeometry.queries import draw, energy, integral, stratified, truth
 from harness.microgeometry.surface import Surface
 from harness.protocol import InputError, square_to_disk
 
@@ -78,6 +78,48 @@ def test_lossless_relief_reflects_all_light():
         energy, spread = np.pi * f[0].mean(), np.pi * f[0].std() / n**0.5
         assert abs(energy - 1) < 4 * spread
         assert np.pi * f[1].mean() < 1 - 6 * spread
+
+
+def test_energy_is_the_integral_of_reflectance():
+    """Paths that choose no light against queries at light directions, for a glossy relief."""
+    height = 0.02 * fbm(64, (3, 3), seed=5, octaves=2)
+    surface = Surface("glossy", height, rgb({**PAINT, "roughness": 0.25}))
+    n, side = 24, 64
+    u, wi, _ = rows(n, 3)
+    kernel = torch.full((n,), 0.02)
+    found, error = energy(surface, u, kernel, wi, samples=4096, seed=2)
+    each = [x.repeat_interleave(side * side, 0) for x in (u, kernel, wi)]
+    f = truth(surface, *each, stratified(n, side, 1).view(-1, 2), 1, 4)
+    expected, spread = integral(f.view(n, -1, 3))
+    z = (found - expected) / torch.hypot(error, spread)
+    assert z.abs().max() < 4.5 and abs(z.mean()) < 1
+    assert (error < 0.05 * found).all()
+
+
+@pytest.mark.parametrize("depth", [1, 60])
+def test_energy_of_a_lossless_relief(depth):
+    """All of it leaves after enough bounces, and what one bounce loses is the same both ways."""
+    surface, n = white(), 64
+    u, wi, _ = rows(n, 6)
+    found, error = energy(surface, u, torch.zeros(n), wi, 1024, 1, depth)
+    if depth == 1:
+        assert found.mean() < 0.99
+    else:
+        assert ((found - 1).abs() <= 4.5 * error + 1e-4).all()
+
+
+def test_an_integral_over_strata_and_its_error():
+    """Errors are those of noise, and an upper bound, far below 1 / sqrt(n), where f is smooth."""
+    n, side = 400, 8
+    wo = stratified(n, side, seed=0)
+    assert (wo.square().sum(-1) < 1).all()
+    noise = torch.rand(n, side * side, 1, generator=torch.Generator().manual_seed(1))
+    for f, mean, least in ((0.5 + noise, 1.0, 0.9), (1 + wo[..., :1], 1.0, 0.2)):
+        found, error = integral(f)
+        z = (found - np.pi * mean) / error
+        assert least < z.std() < 1.1 and abs(z.mean()) < 4 * z.std() / n**0.5
+    # Independent directions: the deviation of x on the disk is 1/2.
+    assert error.mean() < 0.5 * np.pi * 0.5 / side
 
 
 def test_interpolated_normals_lose_less_than_a_percent():

@@ -52,7 +52,7 @@ def quiet(_step, _loss):
 
 
 def held(surface):
-    return quality.Held.draw(surface, 0, 0.5 / 16, 4096, 1, conditions=64, directions=64)
+    return quality.Held.draw(surface, 0, 0.5 / 16, 4096, 1, conditions=64, paths=64, side=8)
 
 
 def test_it_learns_and_says_how_well():
@@ -155,7 +155,7 @@ def wavy(monkeypatch):
     # The measurement's own sizes are for the shipped ones.
     draw = quality.Held.draw
     monkeypatch.setattr(
-        recipe.Held, "draw", lambda s, seed, k, device: draw(s, seed, k, 512, 1, 16, 16, device)
+        recipe.Held, "draw", lambda s, seed, k, device: draw(s, seed, k, 512, 1, 16, 16, 4, device)
     )
 
 
@@ -168,6 +168,37 @@ def test_one_call_makes_a_material_with_its_record(tmp_path, wavy):
     assert set(record["quality"]) == set(record["quality_in_single_precision"])
     assert record["description"] == Wavy().identity()
     assert not out.with_suffix(".train").exists()
+
+
+def test_measuring_again_changes_the_record_alone(tmp_path, wavy):
+    out = tmp_path / "m.safetensors"
+    before = recipe.train("wavy", out, "tiny")
+    reflectance = storage.reflectance_hash(out)
+    same = recipe.measure(out)
+    assert same["quality"] == before["quality"] and same["measured"]
+    other = recipe.measure(out, seed=1)
+    assert other == storage.record(out) and other["quality"]["r2"] != before["quality"]["r2"]
+    assert {k for k in other if other[k] != before.get(k)} == {"quality", "measured"}
+    assert storage.reflectance_hash(out) == reflectance
+
+
+def test_no_material_is_measured_by_another_surface(tmp_path, wavy, monkeypatch):
+    out = tmp_path / "m.safetensors"
+    recipe.train("wavy", out, "tiny")
+    monkeypatch.setattr(recipe.microgeometry, "load", lambda _: Wavy(deep=0.5))
+    with pytest.raises(InputError, match="another 'wavy'"):
+        recipe.measure(out)
+    storage.save(out, storage.load(out), {})
+    with pytest.raises(InputError, match="names no microgeometry"):
+        recipe.measure(out)
+
+
+def test_the_offset_may_learn_more_slowly():
+    training = Training(replace(TINY, offset_share=0.0, steps=20, final_steps=5), 0)
+    before = {k: v.clone() for k, v in training.network.state_dict().items()}
+    training.run(data(Wavy(0.1)), quiet)
+    for key, value in training.network.state_dict().items():
+        assert torch.equal(value, before[key]) == key.startswith("offset."), key
 
 
 def test_an_interrupt_keeps_what_was_trained(tmp_path, wavy):

@@ -1,4 +1,4 @@
-"""``harness material``: train a neural material from microgeometry, look at it, time it."""
+"""``harness material``: train a neural material, measure it, look at it, time it."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ INTERRUPTED = 130
 
 def register(app: typer.Typer) -> None:
     """Add the verb and its own verbs to ``app``."""
-    material = typer.Typer(help="Train, preview, show and time neural materials.")
+    material = typer.Typer(help="Train, measure, preview, show and time neural materials.")
     app.add_typer(material, name="material", no_args_is_help=True)
 
     @material.command()
@@ -66,6 +66,22 @@ def register(app: typer.Typer) -> None:
         from harness.materials.neural.files import shipped
 
         _show(Console(), [_file(name) for name in names] if names else list(shipped().values()))
+
+    @material.command()
+    def measure(
+        name: Annotated[str, typer.Argument(help="A shipped material, or a file.")],
+        seed: Annotated[int, typer.Option(help="Of the held-out queries.")] = 0,
+        device: Annotated[str, typer.Option(help="cpu or cuda.")] = "cpu",
+    ) -> None:
+        """Measure a material's errors again and rewrite its record; its tensors stay."""
+        from rich.console import Console
+
+        from harness.materials.neural import recipe
+
+        _ready(device)
+        file = _file(name)
+        recipe.measure(file, seed, device)
+        _show(Console(), [file])
 
     @material.command()
     def preview(

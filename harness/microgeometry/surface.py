@@ -99,6 +99,12 @@ class Surface:
 
         return reflectance(self, *args, **options)
 
+    def energy(self, *args: Any, **options: Any) -> Any:
+        """Path-traced energies; see :func:`harness.microgeometry.queries.energy`."""
+        from harness.microgeometry.estimate import energy
+
+        return energy(self, *args, **options)
+
 
 def smoothed(height: Array, width: float) -> Array:
     """``height`` after a Gaussian blur of deviation ``width``, in widths of the tile."""

@@ -218,6 +218,33 @@ class Tracer:
             ray = si.spawn_ray(si.to_world(taken.wo))
         return total
 
+    @dr.syntax
+    def energy(self, origin, direction, random, depth):
+        """Radiance against ``direction`` under a sky of unit radiance all around: Color3f.
+
+        The integral over the disk of what :meth:`radiance` gives per unit irradiance on the
+        reference plane, without the choice of a light: a path counts where it leaves upwards.
+        """
+        mi = self.mi
+        total, throughput = mi.Color3f(0), mi.Color3f(1)
+        ray = mi.Ray3f(origin, direction)
+        active = mi.Mask(True)
+        bounce = mi.UInt32(0)
+        depth = mi.UInt32(depth)
+        while active:
+            si = self.intersect(ray, active)
+            free = active & ~si.is_valid() & (bounce > 0) & (ray.d.z > 0)
+            total += dr.select(free, throughput, 0)
+            active &= si.is_valid() & (bounce < depth)
+            bounce += 1
+            first = random.next_float32(active)
+            second = mi.Point2f(random.next_float32(active), random.next_float32(active))
+            taken, weight = self.bsdf.sample(self.context, si, first, second, active)
+            throughput *= weight
+            active &= dr.any(throughput != 0)
+            ray = si.spawn_ray(si.to_world(taken.wo))
+        return total
+
 
 def _into_tile(x: Any) -> Any:
     return x - dr.floor(x)

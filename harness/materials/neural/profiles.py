@@ -28,6 +28,7 @@ class Profile:
     final_batch: int
     texture_rate: float = 2e-2
     network_rate: float = 3e-3
+    offset_share: float = 1.0
     final_share: float = 0.3
     blur: float = 1 / 64
     halvings: float = 9.0
@@ -45,6 +46,7 @@ _MINUTES = {
     "final_batch": 1 << 15,
     "texture_rate": 3e-2,
     "network_rate": 5e-3,
+    "offset_share": 0.02,
     "halvings": 18.0,
     "floor": 0.3,
 }

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
@@ -11,7 +11,7 @@ from torch import Tensor
 from harness.materials.neural import textures
 from harness.materials.neural.network import NeuralMBTF
 from harness.microgeometry import queries
-from harness.protocol import luminance, square_to_disk
+from harness.protocol import luminance
 
 _ROWS = 1 << 17
 
@@ -39,17 +39,32 @@ class Quality:
         return asdict(self)
 
 
+class Energies(NamedTuple):
+    """Conditions, the energies known there, and directions to integrate a network over."""
+
+    u: Tensor
+    """[N, 2]"""
+    kernel: Tensor
+    """[N]"""
+    wi: Tensor
+    """[N, 2]"""
+    energy: Tensor
+    """Luminance [N] of the integral of f over the disk."""
+    error: Tensor
+    """Its standard error [N]."""
+    wo: Tensor
+    """[N, side^2, 2], one in each cell of equal area."""
+
+
 @dataclass(frozen=True)
 class Held:
     """Truth that no training of a small seed has seen; made once, compared with any network.
 
-    ``single`` are queries of many paths. ``energy`` are queries of one path, ``directions``
-    a condition, condition after condition.
+    ``single`` are queries of many paths.
     """
 
     single: queries.Queries
-    energy: queries.Queries
-    directions: int
+    energy: Energies
 
     @classmethod
     def draw(
@@ -60,37 +75,36 @@ class Held:
         rows: int = 1 << 15,
         samples: int = 64,
         conditions: int = 256,
-        directions: int = 2048,
+        paths: int = 1 << 13,
+        side: int = 96,
         device: str = "cpu",
     ) -> Held:
-        """``rows`` single queries of ``samples`` paths, ``conditions`` x ``directions`` of one."""
+        """``rows`` queries of ``samples`` paths; ``conditions`` of ``paths`` and side^2 lights."""
         single = queries.draw(surface, rows, seed + (1 << 40), kernel, samples, device=device)
-        drawn = queries.draw(surface, conditions, seed + (2 << 40), kernel, 1, device=device)
-        u, sigma, wi = (x.repeat_interleave(directions, 0) for x in drawn[:3])
-        generator = torch.Generator().manual_seed(seed)
-        wo = square_to_disk(torch.rand(conditions * directions, 2, generator=generator)).to(device)
-        f = queries.truth(surface, u, sigma, wi, wo, 1, seed + (3 << 40), device=device)
-        return cls(single, queries.Queries(u, sigma, wi, wo, f), directions)
+        u, sigma, wi = queries.draw(
+            surface, conditions, seed + (2 << 40), kernel, 1, device=device
+        )[:3]
+        found, error = queries.energy(surface, u, sigma, wi, paths, seed + (3 << 40), device=device)
+        wo = queries.stratified(conditions, side, seed).to(device)
+        # Of sums, a standard error is at most the sum of standard errors.
+        return cls(single, Energies(u, sigma, wi, luminance(found), luminance(error), wo))
 
     def measure(self, network: NeuralMBTF) -> Quality:
         """The errors of ``network``."""
         truth, found = self.single.f, answer(network, self.single)
         log_truth, log_found = truth.clamp(min=0).log1p().double(), found.log1p().double()
         spread = (log_truth - log_truth.mean(0)).square().sum()
-        # One and the same directions in both, so that their choice is no part of the difference.
-        light, ours = (
-            luminance(f).double().view(-1, self.directions)
-            for f in (self.energy.f, answer(network, self.energy))
-        )
-        energy, error = light.mean(1), (light - ours).std(1) / self.directions**0.5
-        relative = (ours.mean(1) / energy - 1).abs()
+        energy = self.energy.energy.double()
+        ours, integration = (luminance(x).double() for x in energies(network, self.energy))
+        relative = (ours / energy - 1).abs()
+        noise = torch.hypot(self.energy.error.double(), integration) / energy
         return Quality(
             r2=float(1 - (log_truth - log_found).square().sum() / spread),
             mse=float((truth - found).square().mean()),
             energy_error=float(relative.quantile(0.95)),
             energy_within=float((relative < 0.05).double().mean()),
             energy_bias=float(ours.mean() / energy.mean() - 1),
-            energy_noise=float((error / energy).quantile(0.95)),
+            energy_noise=float(noise.quantile(0.95)),
         )
 
 
@@ -111,3 +125,16 @@ def answer(network: NeuralMBTF, asked: queries.Queries) -> Tensor:
         level = textures.level_of(kernel, a.resolution) if a.pyramid else None
         parts.append(network.reflectance(network.features(u, wi, level), wi, wo))
     return torch.cat(parts)
+
+
+@torch.no_grad()
+def energies(network: NeuralMBTF, asked: Energies) -> tuple[Tensor, Tensor]:
+    """Integrals [N, 3] of the network over the disk, and their standard errors."""
+    a = network.architecture
+    level = textures.level_of(asked.kernel, a.resolution) if a.pyramid else None
+    features = network.features(asked.u, asked.wi, level)
+    parts = []
+    for one, wi, wo in zip(features, asked.wi, asked.wo, strict=True):
+        f = network.reflectance(one.expand(len(wo), -1), wi.expand(len(wo), -1), wo)
+        parts.append(queries.integral(f[None]))
+    return tuple(torch.cat(x) for x in zip(*parts, strict=True))

@@ -95,6 +95,28 @@ def train(
     return record
 
 
+def measure(file: Path, seed: int = 0, device: str = "cpu") -> dict[str, Any]:
+    """Measure the errors of a stored material again, by its record's microgeometry.
+
+    The file keeps its tensors; ``quality`` in its record is replaced, and the record returned.
+    ``quality_in_single_precision`` stays what it was: those textures are not stored.
+
+    Raises:
+        InputError: no material of ours, or no description of its microgeometry is found.
+    """
+    record, network = storage.record(file), storage.load(file).to(device)
+    if "name" not in record:
+        raise InputError(f"{file}: its record names no microgeometry to measure it by")
+    surface = microgeometry.load(record["name"])
+    if surface.identity() != record.get("description"):
+        raise InputError(f"{file}: was trained on another '{record['name']}' than there is now")
+    held = Held.draw(surface, seed, footprints(network), device=device)
+    record["quality"] = held.measure(network).as_dict()
+    record["measured"] = datetime.now(UTC).isoformat(timespec="seconds")
+    storage.save(file, network.cpu(), record)
+    return record
+
+
 def changed(profile: Profile, changes: Sequence[str]) -> Profile:
     """The profile with sizes of its network replaced, given as ``KEY=VALUE``."""
     sizes = profile.architecture.as_dict()

@@ -65,13 +65,8 @@ class Training:
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(seed)
             self.network = NeuralMBTF(profile.architecture).to(device)
-        texture = [p for n, p in self.network.named_parameters() if n.endswith("texture")]
-        others = [p for n, p in self.network.named_parameters() if not n.endswith("texture")]
         self.optimiser = torch.optim.Adam(
-            [
-                {"params": texture, "lr": profile.texture_rate},
-                {"params": others, "lr": profile.network_rate},
-            ],
+            [{"params": part} for part in self._parts().values()],
             betas=(0.9, 0.99),
             eps=1e-15,
             fused=True,
@@ -80,6 +75,16 @@ class Training:
         self.step = 0
         self.seconds = 0.0
         self.history: list[float] = []
+
+    def _parts(self) -> dict[tuple[float, float], list[Tensor]]:
+        """Parameters by (rate, share of it)."""
+        p = self.profile
+        parts: dict[tuple[float, float], list[Tensor]] = {}
+        for name, parameter in self.network.named_parameters():
+            rate = p.texture_rate if name.endswith("texture") else p.network_rate
+            share = p.offset_share if name.startswith("offset.") else 1.0
+            parts.setdefault((rate, share), []).append(parameter)
+        return parts
 
     @property
     def total(self) -> int:
@@ -157,10 +162,8 @@ class Training:
         else:
             done = (self.step - p.steps) / max(1, p.final_steps)
             share = p.final_share * 0.5 * (1 + math.cos(math.pi * done))
-        for group, rate in zip(
-            self.optimiser.param_groups, (p.texture_rate, p.network_rate), strict=True
-        ):
-            group["lr"] = rate * share
+        for group, (rate, part) in zip(self.optimiser.param_groups, self._parts(), strict=True):
+            group["lr"] = rate * part * share
 
     # --- to go on later ------------------------------------------------------------------------
 
