@@ -16,7 +16,9 @@ class Profile:
     ``blur`` of a texture's width at first, decays: NeuMIP's 8 texels of 512, halved nine
     times over. The second, ``final_steps`` steps of ``final_batch``, has no blur and a lower
     step size, which falls to nothing. The step sizes are of the textures and of the networks;
-    ``floor`` is the reflectance below which the loss counts errors absolutely.
+    ``floor`` is the reflectance below which the loss counts errors absolutely. Those of the
+    offset are a share ``offset_share`` of them: a depth is in widths of the tile, and steps of
+    5e-3 move lookups by whole texels before the textures hold anything.
     """
 
     architecture: Architecture
@@ -46,7 +48,6 @@ _MINUTES = {
     "final_batch": 1 << 15,
     "texture_rate": 3e-2,
     "network_rate": 5e-3,
-    "offset_share": 0.02,
     "halvings": 18.0,
     "floor": 0.3,
 }
@@ -55,6 +56,10 @@ PROFILES = {
     # A minute and a half of one core.
     "quick": Profile(_SMALL, **_MINUTES),
     "quick-pyramid": Profile(_SMALL_PYRAMID, **_MINUTES),
+    # For fine deep relief: more texels, a coarse offset that learns slowly. Two minutes.
+    "fine": Profile(
+        replace(_SMALL, resolution=180, offset_resolution=32), **_MINUTES, offset_share=0.02
+    ),
     # Four times as long, for rough and glossy surfaces whose highlights are rare.
     "long": Profile(_SMALL, **{**_MINUTES, "queries": 8 << 20, "steps": 8000, "final_steps": 2400}),
     # The papers' sizes: 300 queries a texel of 512^2, batches of a million. For a GPU.
