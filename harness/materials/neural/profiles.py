@@ -56,10 +56,8 @@ PROFILES = {
     # A minute and a half of one core.
     "quick": Profile(_SMALL, **_MINUTES),
     "quick-pyramid": Profile(_SMALL_PYRAMID, **_MINUTES),
-    # For fine deep relief: more texels, a coarse offset that learns slowly. Two minutes.
-    "fine": Profile(
-        replace(_SMALL, resolution=180, offset_resolution=32), **_MINUTES, offset_share=0.02
-    ),
+    # The offset learns slowly: better where a relief is fine and shallow.
+    "steady": Profile(_SMALL, **_MINUTES, offset_share=0.02),
     # Four times as long, for rough and glossy surfaces whose highlights are rare.
     "long": Profile(_SMALL, **{**_MINUTES, "queries": 8 << 20, "steps": 8000, "final_steps": 2400}),
     # The papers' sizes: 300 queries a texel of 512^2, batches of a million. For a GPU.
