@@ -27,8 +27,9 @@ def test_a_shipped_material(name):
     assert record["name"] == name and registry.describe(name) == record["about"] != ""
     assert record["steps"] > 0 and record["train_seconds"] > 0
     quality, single = record["quality"], record["quality_in_single_precision"]
-    # 0.9 is wanted, 0.8 in the deepest relief.
-    assert quality["r2"] >= 0.75
+    # 0.9 is wanted, 0.8 in the deepest relief; leather has 0.797, the next 0.865.
+    assert quality["r2"] >= (0.79 if name == "leather" else 0.85)
+    assert quality["energy_noise"] < 0.015
     assert abs(quality["r2"] - single["r2"]) < 0.005
     assert abs(quality["energy_bias"]) < 0.05
     material = registry.make(name)
