@@ -222,12 +222,21 @@ def test_only_a_part_keeps_the_rest_planned(tmp_path: Path):
     assert set(load_results(tmp_path / "out")["status"]) == {"ok"}
 
 
+def test_only_takes_several_names_of_a_key(tmp_path: Path):
+    text = go(tmp_path, Options(only="method=Good,with-state,material=fake-b", dry_run=True))[1]
+    assert "probe · Good · fake-b" in text and "probe · with-state · fake-b" in text
+    assert "fake-a" not in text
+    again = go(tmp_path, Options(only="material=fake-b", dry_run=True))[1]
+    assert again == text, "there are no other methods"
+
+
 @pytest.mark.parametrize(
     ("only", "message"),
     [
         ("material=fake-c", "no material 'fake-c' in .*suite.yaml; did you mean"),
         ("methd=Good", "expected KEY=NAME, .*; did you mean 'method'"),
         ("Good", "expected KEY=NAME"),
+        ("method=Good,fake-b", "no method 'fake-b' in"),
         ("measure=prob", "no measure 'prob' .*; did you mean 'probe'"),
     ],
 )

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 Suite = Annotated[str, typer.Argument(help="A suite: a .yaml file, or a name of suites/.")]
 Profile = Annotated[str | None, typer.Option(help="quick or full; by default quick.")]
-Only = Annotated[str | None, typer.Option(help="A part of it, such as material=A,method=B.")]
+Only = Annotated[str | None, typer.Option(help="A part of it, such as material=A,method=B,C.")]
 Retry = Annotated[str | None, typer.Option(help="failed: run failed trials again.")]
 Device = Annotated[str, typer.Option(help="cpu or cuda.")]
 

@@ -1,4 +1,4 @@
-"""``--only material=A,method=B``: which of the planned trials a run is about."""
+"""``--only material=A,method=B,C``: which of the planned trials a run is about."""
 
 from __future__ import annotations
 
@@ -23,12 +23,19 @@ class Only:
 
 
 def parse(text: str | None, plan: Plan) -> Only:
-    """Read the option; every name in it must be one of the plan's."""
+    """Read the option; every name in it must be one of the plan's.
+
+    A part without a key goes on with the key before it: ``method=A,B`` allows both.
+    """
     allowed: dict[str, set[str]] = {}
+    last = ""
     for part in (text or "").split(","):
         if not part.strip():
             continue
         key, equals, value = (piece.strip() for piece in part.partition("="))
+        if last and not equals:
+            key, equals, value = last, "=", key
+        last = key
         if key not in KEYS or not equals:
             hint = nearest(key, KEYS) if key not in KEYS else ""
             raise InputError(
