@@ -13,6 +13,7 @@ TABLES = (
     "ranking",
     "stability",
     "image-checks",
+    "sample-weights",
     "importance-maps",
     "levels",
     "effects",

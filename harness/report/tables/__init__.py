@@ -14,6 +14,7 @@ from harness.report.tables.importance_maps import importance_maps
 from harness.report.tables.levels import levels
 from harness.report.tables.pdf import pdf
 from harness.report.tables.ranking import ranking
+from harness.report.tables.sample_weights import sample_weights
 from harness.report.tables.speedup import equal_spp, table2
 from harness.report.tables.stability import stability
 from harness.report.tables.status import status
@@ -31,6 +32,7 @@ TABLES: dict[str, Callable[[Results], Table | str]] = {
     "ranking": ranking,
     "stability": stability,
     "image-checks": image_checks,
+    "sample-weights": sample_weights,
     "importance-maps": importance_maps,
     "levels": levels,
     "effects": effects,

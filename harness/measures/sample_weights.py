@@ -1,0 +1,139 @@
+"""What one sample is worth under constant light: variance and bias of its weight, by condition."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Annotated
+
+import numpy as np
+import torch
+from pydantic import Field
+from torch import Tensor
+
+from harness.measures.base import Job, Measure, Outcome, Record
+from harness.measures.base import Settings as BaseSettings
+from harness.protocol import Material, Method, inside_disk, luminance
+from harness.stats.intervals import mean_interval, median_interval
+
+_ROWS = 1 << 18
+_REFERENCES = ("random-walk", "native", "cosine")
+"""Samplers of the albedo, from the least variance to the one that every material has."""
+
+
+class SampleWeights(Measure):
+    r"""Relative variance and bias of the luminance of the weight, at held-out conditions.
+
+    A weight w is f/p, or a method's own estimate. Its mean is the albedo A of the condition if
+    the method is unbiased; var(w) / A^2 is the variance of a pixel of that condition alone, in
+    constant light, of one sample. The means over pixels of a render weigh bright conditions more.
+
+    - ``relative-variance``, ``relative-variance-median`` over conditions;
+    - ``noise-free-variance``, ``noise-free-variance-median``: the same if f were known. Where f
+      is a mean over random walks, f/p contains that mean's noise; of f and f', evaluations by
+      different walks at the same directions, E[(f - f')^2 / p^2] / 2 is the noise's part. For
+      methods of exact density, and equal to the variance where f is a closed form;
+    - ``bias``: mean over conditions of E[w] / A - 1;
+    - ``bias-rms``: root of the mean square of that, without what noise adds to it. After N
+      samples the relative squared error is ``bias-rms``^2 + ``relative-variance`` / N. Zero if the
+      estimate of the mean square is not positive, which for an unbiased method it is half the time;
+    - ``biased-share``: share of conditions whose mean differs from the albedo by more than three
+      standard errors (0.003 for an unbiased method with well-behaved weights).
+
+    The albedo is estimated by another sampler, a random walk where the material has one. All
+    methods of a material see the same conditions and uniforms.
+    """
+
+    name = "sample-weights"
+    needs_scene = False
+
+    class Settings(BaseSettings):
+        """``samples`` at each of ``conditions``, four times as many for the albedo."""
+
+        conditions: Annotated[int, Field(ge=2)] = 128
+        samples: Annotated[int, Field(ge=2)] = 4096
+
+    def run(self, jobs: list[Job], notify: Callable[[str], None]) -> list[Outcome]:
+        """See :class:`Measure`."""
+        return [self._one(job, self.Settings(**job.settings), notify) for job in jobs]
+
+    def _one(self, job: Job, settings: Settings, notify: Callable[[str], None]) -> Outcome:
+        condition = job.material.conditions(settings.conditions, job.generator, job.budget.device)
+        notify(f"{job.material.name}: albedos")
+        truth, truth_error, _ = _moments(_reference(job.material), condition, settings, job, 4)
+        lit = truth > 0
+        condition, truth, truth_error = condition[lit], truth[lit], truth_error[lit]
+        notify(f"{job.material.name}: {len(condition)} conditions of {job.method.name}")
+        mean, error, noise = _moments(job.method, condition, settings, job)
+        variance = error**2 * settings.samples / truth**2
+        off = mean / truth - 1
+        squared_error = (error**2 + truth_error**2) / truth**2
+        mean_square = float((off**2 - squared_error).mean())
+        biased = np.abs(off) > 3 * np.sqrt(squared_error)
+        records = _both("relative-variance", variance)
+        if noise is not None:
+            records += _both("noise-free-variance", variance - noise / truth**2)
+        records += [
+            Record("bias", *mean_interval(off), "1"),
+            # What is not positive is a mean square of zero, seen through noise.
+            Record("bias-rms", mean_square**0.5 if mean_square > 0 else 0.0, unit="1"),
+            Record("biased-share", float(biased.mean()), unit="1"),
+        ]
+        arrays = {
+            "condition": condition.cpu().numpy(),
+            "albedo": truth,
+            "albedo_error": truth_error,
+            "mean": mean,
+            "mean_error": error,
+        }
+        if noise is not None:
+            arrays["noise"] = noise
+        return Outcome(records=records, arrays=arrays)
+
+
+def _both(name: str, values: np.ndarray) -> list[Record]:
+    return [
+        Record(name, *mean_interval(values), "1"),
+        Record(f"{name}-median", *median_interval(values), "1"),
+    ]
+
+
+def _reference(material: Material) -> Method:
+    """A sampler of the material that nothing was fitted for."""
+    from harness import registry
+
+    for name in _REFERENCES:
+        method = registry.make(name)
+        if method.supports(material)[0]:
+            break
+    method.bind(material)
+    return method
+
+
+def _moments(
+    method: Method, condition: Tensor, settings: SampleWeights.Settings, job: Job, times: int = 1
+) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
+    """Mean weight, its standard error, and the noise of f in one weight's variance: each [K].
+
+    The last is None where the weight is not f over a density.
+    """
+    samples = settings.samples * times
+    found: list[list[Tensor]] = []
+    for rows in torch.split(condition, max(1, _ROWS // samples)):
+        many = rows.repeat_interleave(samples, 0)
+        u = torch.rand(len(many), 3, generator=job.generator).to(many.device)
+        wo, pdf, weight = method.sample_weighted(many, u)
+        w = luminance(weight).double().view(-1, samples)
+        found.append([w.mean(1), w.std(1) / samples**0.5])
+        if method.exact_pdf:
+            apart = _apart(job.material, many, wo, method) / pdf
+            apart = torch.where(inside_disk(wo), apart, 0).double()
+            found[-1].append(apart.square().view(-1, samples).mean(1) / 2)
+    columns = [torch.cat(parts).cpu().numpy() for parts in zip(*found, strict=True)]
+    return columns[0], columns[1], columns[2] if len(columns) > 2 else None
+
+
+def _apart(material: Material, condition: Tensor, wo: Tensor, method: Method) -> Tensor:
+    """Luminance [N] of the difference of f and of f by other random walks; zero without any."""
+    if not hasattr(material, "eval_again"):
+        return wo.new_zeros(len(wo))
+    return luminance(method.eval(condition, wo) - material.eval_again(condition, wo, 1))

@@ -1,0 +1,111 @@
+"""Variance, noise and bias of weights, against what they are known to be."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import torch
+
+from harness import registry
+from harness.materials import registry as materials
+from harness.measures.sample_weights import SampleWeights
+from harness.protocol import Budget
+from tests.materials import MATERIALS
+
+COPPER = {"alpha_x": 0.4, "alpha_y": 0.4, "r0_r": 0.9, "r0_g": 0.9, "r0_b": 0.9}
+
+
+def measured(material, method, conditions: int = 8, samples: int = 4096):
+    method.bind(material)
+    job = SimpleNamespace(
+        material=material,
+        method=method,
+        generator=torch.Generator().manual_seed(3),
+        budget=Budget(),
+        settings={"conditions": conditions, "samples": samples},
+    )
+    (outcome,) = SampleWeights().run([job], lambda text: None)
+    return {r.metric: r.value for r in outcome.records}, outcome.arrays
+
+
+def copper(walks: int):
+    spec = {"name": "copper", "type": "family", "family": "ggx-conductor", "fix": COPPER}
+    return materials.make({**spec, "walks": walks})
+
+
+class Darker:
+    """A sampler whose estimates are a tenth too small."""
+
+    def __init__(self):
+        self.inner = registry.make("random-walk")
+        self.name, self.exact_pdf, self.bind = "darker", False, self.inner.bind
+
+    def sample_weighted(self, condition, u):
+        wo, pdf, weight = self.inner.sample_weighted(condition, u)
+        return wo, pdf, 0.9 * weight
+
+
+def test_cosine_of_a_lambertian_has_no_variance():
+    chalk = materials.make({"name": "chalk", "type": "mitsuba", "bsdf": {"type": "diffuse"}})
+    value, _ = measured(chalk, registry.make("cosine"))
+    assert value["relative-variance"] == value["noise-free-variance"]
+    assert value["relative-variance"] < 1e-10 and abs(value["bias"]) < 1e-5
+
+
+def test_variance_is_that_of_quadrature():
+    """E[(f/p)^2] / A^2 - 1 of uniform directions on the disk, where f is a closed form."""
+    from harness.protocol import luminance, square_to_disk
+
+    material = MATERIALS["tilted"]()
+    value, arrays = measured(material, registry.make("cosine"), 4, 1 << 15)
+    u = torch.rand(1 << 17, 2, generator=torch.Generator().manual_seed(5))
+    expected = []
+    for row in torch.from_numpy(arrays["condition"]):
+        f = luminance(material.eval(row.expand(len(u), -1), square_to_disk(u))).double()
+        expected.append(float(f.var() / f.mean() ** 2))
+    assert value["relative-variance"] == pytest.approx(np.mean(expected), rel=0.05)
+    assert value["noise-free-variance"] == value["relative-variance"]
+
+
+def test_noise_of_walks_falls_with_their_number_and_the_rest_stays():
+    few, _ = measured(copper(2), registry.make("native"))
+    many, _ = measured(copper(32), registry.make("native"))
+    noise = [v["relative-variance"] - v["noise-free-variance"] for v in (few, many)]
+    assert noise[0] / noise[1] == pytest.approx(16, rel=0.4)
+    assert few["noise-free-variance"] == pytest.approx(many["noise-free-variance"], rel=0.15)
+    assert noise[0] > many["noise-free-variance"] / 2, "or there was nothing to be told apart"
+
+
+def test_bias_is_seen_and_only_where_there_is_one():
+    right, _ = measured(copper(4), registry.make("random-walk"))
+    wrong, _ = measured(copper(4), Darker())
+    assert "noise-free-variance" not in right, "its weights are not f over a density"
+    assert abs(right["bias"]) < 0.005 and right["bias-rms"] < 0.01
+    assert right["biased-share"] == 0
+    assert wrong["bias"] == pytest.approx(-0.1, abs=0.005)
+    assert wrong["bias-rms"] == pytest.approx(0.1, abs=0.005) and wrong["biased-share"] == 1
+
+
+def test_records_and_table(tmp_path: Path):
+    import yaml
+
+    from harness.cli.main import main
+    from harness.report.results import Results
+    from harness.report.tables import TABLES
+
+    suite = {
+        "name": "weights",
+        "materials": ["ggx-conductor", "disney"],
+        "methods": ["cosine", "native", "random-walk"],
+        "measures": [{"name": "sample-weights", "conditions": 4, "samples": 256}],
+        "report": {"tables": [], "figures": []},
+    }
+    (tmp_path / "weights.yaml").write_text(yaml.safe_dump(suite))
+    assert main(["run", str(tmp_path / "weights.yaml"), "--out", str(tmp_path / "out")]) == 0
+    table = TABLES["sample-weights"](Results.load(tmp_path / "out"))
+    assert [s.title.split(":")[0] for s in table.sections][-3] == "bias"
+    cells = {row.label: row.cells for row in table.sections[0].rows}
+    assert cells["ggx-conductor"][2].value > 0 and cells["disney"][2].missing
