@@ -19,7 +19,9 @@ def register(app: typer.Typer) -> None:
             Path | None, typer.Option(help="Folder; importance-maps/MATERIAL by default.")
         ] = None,
         resume: Annotated[bool, typer.Option("--resume", help="Go on with a folder.")] = False,
-        resolution: Annotated[int, typer.Option(min=2, help="Cells per side of a map.")] = 64,
+        resolution: Annotated[
+            int, typer.Option(min=2, help="Cells per side of a map; methods read 32 by default.")
+        ] = 32,
         slice_resolution: Annotated[
             int, typer.Option(min=2, help="Cells per side of the slice that a map is made of.")
         ] = 64,
