@@ -72,6 +72,10 @@ def test_table_and_figure(results, tmp_path):
     table = TABLES["importance-maps"](results)
     assert list(table.columns) == ["row-column", "optimal-transport", "cosine"]
     arrays = results.arrays(results.trials("importance-maps")[0])
+    ratios = [s for s in table.sections if s.title.endswith("over row-column")]
+    assert len(ratios) == len(table.sections) / 2
+    cost = next(s for s in ratios if s.title.startswith("transport cost"))
+    assert all(r.cells[0].value == 1 and r.cells[1].value < 1 for r in cost.rows)
     for section in table.sections:
         counts = [int(row.label.split("(")[1].rstrip(")")) for row in section.rows]
         assert sum(counts) == len(arrays["spread"]) and len(counts) <= len(LOBES)

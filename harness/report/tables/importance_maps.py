@@ -6,8 +6,8 @@ import numpy as np
 
 from harness.report.results import MethodColumn, Results
 from harness.report.table import Cell, Row, Section, Table, embolden
-from harness.report.tables.common import BOLD_LEGEND, circumstances
-from harness.stats.intervals import mean_interval
+from harness.report.tables.common import BOLD_LEGEND, as_baseline, circumstances
+from harness.stats.intervals import geometric_mean, mean_interval
 
 MEASURE = "importance-maps"
 LOBES = (("broad", 0.25, 2.0), ("glossy", 0.02, 0.25), ("narrow", 0.0, 0.02))
@@ -33,8 +33,13 @@ def importance_maps(results: Results) -> Table | str:
             last = i == len(resolutions) - 1
             if metric != "binned_error" and not last:
                 continue
+            heading = f"{title}, maps of {n} x {n}"
             rows = _rows(results, methods, metric, i)
-            sections.append(Section(f"{title}, maps of {n} x {n}", rows, brief=last))
+            sections.append(Section(heading, rows, brief=False))
+            if any(m.label == results.baseline for m in methods):
+                rows = _rows(results, methods, metric, i, results.baseline)
+                over = heading.replace(" [1]", "")
+                sections.append(Section(f"{over}: over {results.baseline}", rows, brief=last))
     shares = ", ".join(f"{name} above {low:.0%}" for name, low, _ in LOBES[:-1])
     said = circumstances(results, MEASURE)
     return Table(
@@ -43,7 +48,8 @@ def importance_maps(results: Results) -> Table | str:
         caption=(
             "Maps from the unit square to the projected disk, of random slices. Gradients are "
             "norms of the derivative of the direction by the uniforms. Lobes by the effective "
-            f"share of the disk that they cover: {shares}, narrow below. Lower is better. {said}"
+            f"share of the disk that they cover: {shares}, narrow below. Ratios are geometric "
+            f"means over the same slices. Lower is better. {said}"
         ).strip(),
         corner="material, lobe (slices)",
         columns=[m.label for m in methods],
@@ -53,7 +59,10 @@ def importance_maps(results: Results) -> Table | str:
     )
 
 
-def _rows(results: Results, methods: list[MethodColumn], metric: str, i: int) -> list[Row]:
+def _rows(
+    results: Results, methods: list[MethodColumn], metric: str, i: int, over: str = ""
+) -> list[Row]:
+    """Means by lobe; with ``over``, of the ratios to that method's value on the same slice."""
     rows = []
     for material in results.materials:
         for lobe, low, high in LOBES:
@@ -67,10 +76,28 @@ def _rows(results: Results, methods: list[MethodColumn], metric: str, i: int) ->
                 arrays = results.arrays(trials[0])
                 mine = (arrays["spread"] >= low) & (arrays["spread"] < high)
                 count = int(mine.sum())
-                cells.append(_cell(arrays[metric][mine, i]))
+                values = arrays[metric][mine, i]
+                if not over:
+                    cells.append(_cell(values))
+                elif method.label == over:
+                    cells.append(as_baseline("1", method))
+                elif rivals := results.trials(MEASURE, material, over):
+                    rival = results.arrays(rivals[0])[metric][mine, i]
+                    cells.append(_ratio(values, rival))
+                else:
+                    cells.append(Cell(missing=results.why_missing(MEASURE, material, over)))
             if count:
                 rows.append(Row(f"{material}, {lobe} ({count})", embolden(cells, "low")))
     return rows
+
+
+def _ratio(values: np.ndarray, rival: np.ndarray) -> Cell:
+    # The chi-square of a lobe within one cell is zero, whatever the map: nothing to compare.
+    told = (values > 0) & (rival > 0)
+    ratios = values[told] / rival[told]
+    if len(ratios) < 2:
+        return Cell(float(ratios[0])) if len(ratios) else Cell(missing="no such slice was drawn")
+    return Cell(*geometric_mean(ratios), suffix="×")
 
 
 def _cell(values: np.ndarray) -> Cell:
