@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import copy
+import functools
 from collections.abc import Callable
 from typing import Annotated
 
@@ -10,9 +12,10 @@ import torch
 from pydantic import Field
 from torch import Tensor
 
+from harness.materials.families.walks import WalkFamily
 from harness.measures.base import Job, Measure, Outcome, Record
 from harness.measures.base import Settings as BaseSettings
-from harness.protocol import Material, Method, inside_disk, luminance
+from harness.protocol import Material, Method, luminance
 from harness.stats.intervals import mean_interval, median_interval
 
 _ROWS = 1 << 18
@@ -29,9 +32,9 @@ class SampleWeights(Measure):
 
     - ``relative-variance``, ``relative-variance-median`` over conditions;
     - ``noise-free-variance``, ``noise-free-variance-median``: the same if f were known. Where f
-      is a mean over random walks, f/p contains that mean's noise; of f and f', evaluations by
-      different walks at the same directions, E[(f - f')^2 / p^2] / 2 is the noise's part. For
-      methods of exact density, and equal to the variance where f is a closed form;
+      is a mean over random walks, f/p contains that mean's noise; of w and w', weights by
+      different walks at the same directions, E[(w - w')^2] / 2 is the noise's part. Equal to the
+      variance where f is a closed form or no part of the weight;
     - ``bias``: mean over conditions of E[w] / A - 1;
     - ``bias-rms``: root of the mean square of that, without what noise adds to it. After N
       samples the relative squared error is ``bias-rms``^2 + ``relative-variance`` / N. Zero if the
@@ -69,10 +72,9 @@ class SampleWeights(Measure):
         squared_error = (error**2 + truth_error**2) / truth**2
         mean_square = float((off**2 - squared_error).mean())
         biased = np.abs(off) > 3 * np.sqrt(squared_error)
-        records = _both("relative-variance", variance)
-        if noise is not None:
-            records += _both("noise-free-variance", variance - noise / truth**2)
-        records += [
+        records = [
+            *_both("relative-variance", variance),
+            *_both("noise-free-variance", variance - noise / truth**2),
             Record("bias", *mean_interval(off), "1"),
             # What is not positive is a mean square of zero, seen through noise.
             Record("bias-rms", mean_square**0.5 if mean_square > 0 else 0.0, unit="1"),
@@ -84,9 +86,8 @@ class SampleWeights(Measure):
             "albedo_error": truth_error,
             "mean": mean,
             "mean_error": error,
+            "noise": noise,
         }
-        if noise is not None:
-            arrays["noise"] = noise
         return Outcome(records=records, arrays=arrays)
 
 
@@ -111,29 +112,27 @@ def _reference(material: Material) -> Method:
 
 def _moments(
     method: Method, condition: Tensor, settings: SampleWeights.Settings, job: Job, times: int = 1
-) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
-    """Mean weight, its standard error, and the noise of f in one weight's variance: each [K].
-
-    The last is None where the weight is not f over a density.
-    """
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Mean weight, its standard error, and the noise of f in one weight's variance: each [K]."""
     samples = settings.samples * times
+    again = _by_other_walks(method)
     found: list[list[Tensor]] = []
     for rows in torch.split(condition, max(1, _ROWS // samples)):
         many = rows.repeat_interleave(samples, 0)
         u = torch.rand(len(many), 3, generator=job.generator).to(many.device)
-        wo, pdf, weight = method.sample_weighted(many, u)
-        w = luminance(weight).double().view(-1, samples)
-        found.append([w.mean(1), w.std(1) / samples**0.5])
-        if method.exact_pdf:
-            apart = _apart(job.material, many, wo, method) / pdf
-            apart = torch.where(inside_disk(wo), apart, 0).double()
-            found[-1].append(apart.square().view(-1, samples).mean(1) / 2)
-    columns = [torch.cat(parts).cpu().numpy() for parts in zip(*found, strict=True)]
-    return columns[0], columns[1], columns[2] if len(columns) > 2 else None
+        w = luminance(method.sample_weighted(many, u).weight).double()
+        other = luminance(again.sample_weighted(many, u).weight).double() if again else w
+        apart = (w - other).square().view(-1, samples)
+        w = w.view(-1, samples)
+        found.append([w.mean(1), w.std(1) / samples**0.5, apart.mean(1) / 2])
+    mean, error, noise = (torch.cat(parts).cpu().numpy() for parts in zip(*found, strict=True))
+    return mean, error, noise
 
 
-def _apart(material: Material, condition: Tensor, wo: Tensor, method: Method) -> Tensor:
-    """Luminance [N] of the difference of f and of f by other random walks; zero without any."""
-    if not hasattr(material, "eval_again"):
-        return wo.new_zeros(len(wo))
-    return luminance(method.eval(condition, wo) - material.eval_again(condition, wo, 1))
+def _by_other_walks(method: Method) -> Method | None:
+    """``method`` with f by random walks of another seed; None where f is no mean over walks."""
+    if not isinstance(method.material, WalkFamily):
+        return None
+    other = copy.copy(method.material)
+    other.eval_columns = functools.partial(method.material.eval_columns, seed=1)
+    return method.rebound(other)
