@@ -107,12 +107,16 @@ def test_records_and_table(tmp_path: Path):
         "name": "weights",
         "materials": ["ggx-conductor", "disney"],
         "methods": ["cosine", "native", "random-walk"],
+        "baseline": "cosine",
         "measures": [{"name": "sample-weights", "conditions": 4, "samples": 256}],
         "report": {"tables": [], "figures": []},
     }
     (tmp_path / "weights.yaml").write_text(yaml.safe_dump(suite))
     assert main(["run", str(tmp_path / "weights.yaml"), "--out", str(tmp_path / "out")]) == 0
     table = TABLES["sample-weights"](Results.load(tmp_path / "out"))
-    assert [s.title.split(":")[0] for s in table.sections][-3] == "bias"
+    titles = [s.title for s in table.sections]
+    shares = next(s for s in table.sections if "less variance than cosine [1]" in s.title)
+    assert titles[4].startswith("bias: ") and len(titles) == 9
+    assert shares.rows[0].cells[0].missing and 0 < shares.rows[0].cells[2].value <= 1
     cells = {row.label: row.cells for row in table.sections[0].rows}
     assert cells["ggx-conductor"][2].value > 0 and cells["disney"][2].missing

@@ -86,6 +86,7 @@ class SampleWeights(Measure):
             "albedo_error": truth_error,
             "mean": mean,
             "mean_error": error,
+            "variance": error**2 * settings.samples,
             "noise": noise,
         }
         return Outcome(records=records, arrays=arrays)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from harness.report.combine import geometric_mean
+from harness.report.combine import Estimate, geometric_mean
 from harness.report.results import Results
 from harness.report.table import Section, Table
 from harness.report.tables.common import circumstances, legend, material_rows
@@ -17,6 +17,7 @@ _SECTIONS = (
     ("bias-rms", "bias of a condition, root mean square [1]", ""),
     ("biased-share", "share of conditions off by more than three standard errors [1]", ""),
 )
+_SHARES = (("variance", ""), ("noise_free", ", without the noise of f"))
 
 
 def sample_weights(results: Results) -> Table | str:
@@ -32,6 +33,14 @@ def sample_weights(results: Results) -> Table | str:
         mean = geometric_mean if best else None
         rows = material_rows(results, number, best, mean, "geometric mean")
         sections.append(Section(title, rows))
+    if any(m.label == results.baseline for m in results.methods):
+        for metric, title in _SHARES:
+
+            def share(material, method, metric=metric):
+                return _share(results, metric, material, method.label)
+
+            title = f"share of conditions with less variance than {results.baseline}{title} [1]"
+            sections.append(Section(title, material_rows(results, share, "", None, "")))
     conditions = results.counts(MEASURE, "mean")
     said = circumstances(
         results, MEASURE, f"{conditions} held-out conditions" if conditions else ""
@@ -52,3 +61,19 @@ def sample_weights(results: Results) -> Table | str:
         best="low",
         legend=legend(results),
     )
+
+
+def _share(results: Results, metric: str, material: str, method: str) -> Estimate | str:
+    """Share of conditions in which the method's variance is below the baseline's."""
+    if method == results.baseline:
+        return "the reference itself"
+    variances = []
+    for label in (method, results.baseline):
+        trials = results.trials(MEASURE, material, label)
+        if not trials:
+            return results.why_missing(MEASURE, material, label)
+        arrays = results.arrays(trials[0])
+        noise = arrays["noise"] if metric == "noise_free" else 0.0
+        variances.append(arrays["variance"] - noise)
+    below = (variances[0] < variances[1]).mean()
+    return Estimate(float(below))
