@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import math
 
+import numpy as np
 import pytest
 import torch
 from hypothesis import given, settings
@@ -12,7 +13,7 @@ from hypothesis import strategies as st
 
 from harness import registry
 from harness.columns import columns_of, tensor_of
-from harness.importance_maps import database
+from harness.importance_maps import ImportanceMap, database
 from harness.importance_maps.database import BakeSettings, bake, bake_to, load
 from harness.importance_maps.training import MapBatches
 from harness.nets import MLP
@@ -86,6 +87,53 @@ def test_stored_slice_and_weights(maps):
     albedo = luminance(weight).mean()
     assert luminance(weight).std(1).max() < 1e-3 * albedo
     assert inside_disk(wo * (1 - 1e-6)).all() and u.min() > 0 and u.max() < 1
+
+
+def test_maps_between_their_centres():
+    """As ImportanceMap interpolates them, which is written differently."""
+    from methods.importance_baked_published import between
+
+    maps = torch.rand(3, 5, 5, 2, generator=rng(1), dtype=torch.float64)
+    u = torch.rand(3, 200, 2, generator=rng(2), dtype=torch.float64)
+    u[:, 0], u[:, 1] = 0, 1 - 1e-9
+    for one, points, found in zip(maps, u, between(maps, u), strict=True):
+        expected = ImportanceMap(one.numpy(), one.numpy()).at(points.numpy())
+        torch.testing.assert_close(found, torch.from_numpy(expected))
+
+
+def test_published_map_holds_between_the_centres_of_cells():
+    """Of centres alone, a grid, frequencies up to 2^11 would tell nothing about the rest."""
+    from harness.materials import registry as materials
+
+    fix = {"alpha_x": 0.3, "alpha_y": 0.3}
+    spec = {"name": "metal", "type": "family", "family": "ggx-conductor", "fix": fix, "walks": 1}
+    material = materials.make(spec)
+    made = bake(material, BakeSettings(resolution=16, slice_resolution=16), 16, workers=1)
+    method = registry.make("importance-baked-published", width=32, layers=2)
+    method.bind(material)
+    torch.manual_seed(0)
+    method.module = method.build(material)
+    batches = MapBatches(made)
+    method.meet(batches.condition)
+    optimiser = torch.optim.Adam(method.module.parameters(), 5e-3)
+    generator, budget = rng(4), Budget(steps=1, conditions=16, directions=64)
+    for _ in range(400):
+        loss = method.baked_loss(batches, budget, generator, 0.0)
+        optimiser.zero_grad()
+        loss.backward()
+        optimiser.step()
+    u = torch.rand(len(made), 256, 2, generator=rng(5))
+    with torch.no_grad():
+        encoded = method.module.encoder(made.condition)[:, None].expand(-1, 256, -1)
+        found, _ = method.map(encoded, u)
+    expected = torch.from_numpy(
+        np.stack([
+            ImportanceMap(wo.numpy(), wo.numpy()).at(v.numpy())
+            for wo, v in zip(made.wo, u, strict=True)
+        ])
+    )  # fmt: skip
+    off = (found - expected).norm(dim=-1)
+    assert off.mean() < 0.1
 
 
 # --- encodings and derivatives ---------------------------------------------------------------
