@@ -20,7 +20,7 @@ MEASURE = "equal-time"
 _IMAGE = "equal_time"
 _ACROSS = 6
 _CELL, _LABEL, _UNDER = 1.9, 0.24, 0.34
-"""Inches: width of a render, heights of its label and of the numbers below."""
+"""Inches: width of a render, heights of a line of its label and of the numbers below."""
 _CROP = 0.25
 """Side of the enlarged square over the image's."""
 
@@ -89,11 +89,12 @@ def _figure(
     across = min(len(shots), _ACROSS)
     rows = -(-len(shots) // across)
     tall = _CELL * first.shape[0] / first.shape[1]
-    line = _LABEL + tall + _CELL / 2 + _UNDER
+    label = _LABEL * max(1 + wrapped(shot.method.label, 20).count("\n") for shot in shots)
+    line = label + tall + _CELL / 2 + _UNDER
     figure, axes = sheet(across * _CELL, rows * line)
     for i, shot in enumerate(shots):
         row, column = divmod(i, across)
-        _shot(axes, shot, look, column * _CELL, (rows - row) * line - _LABEL, tall)
+        _shot(axes, shot, look, column * _CELL, (rows - row) * line - label, tall)
     return canvas.save(
         figure,
         f"images-{scene}-{material}",

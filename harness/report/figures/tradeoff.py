@@ -1,4 +1,4 @@
-"""Accuracy against time: how good the pdf is, and what a sample of it costs."""
+"""Accuracy against time: what variance a sample leaves, and what it costs."""
 
 from __future__ import annotations
 
@@ -28,9 +28,13 @@ class Point:
 
 
 def tradeoff(results: Results, canvas: Canvas) -> list[Drawn] | str:
-    """A figure per scene: chi-square divergence against time per sample, with the front."""
-    if not results.trials("pdf"):
-        return "no trial of the measure pdf ended well"
+    """A figure per scene: variance under constant light against time per sample, with the front.
+
+    That is the chi-square divergence of the pdf; where the suite measures weights, theirs, which
+    methods have, too, whose pdf is none of their samples.
+    """
+    if not results.trials("pdf") and not results.trials("sample-weights"):
+        return "no trial of the measures pdf and sample-weights ended well"
     if not results.trials("equal-time"):
         return "no trial of the measure equal-time ended well"
     with styled():
@@ -47,6 +51,8 @@ def _scene(results: Results, canvas: Canvas, scene: str) -> Drawn | None:
         return None
     if len(panels) > 1:
         panels = {_ALL: _means(results, list(panels.values()))} | panels
+    weights = bool(results.trials("sample-weights"))
+    quantity = "relative variance" if weights else "χ² divergence"
     look = looks(results)
     shown = {p.method.label for points in panels.values() for p in points}
     rows, columns = grid_shape(len(panels))
@@ -65,7 +71,7 @@ def _scene(results: Results, canvas: Canvas, scene: str) -> Drawn | None:
         panel.set_title(title, style="italic" if title == _ALL else "normal")
         panel.set_xlabel("ns per rendered sample")
         if i % columns == 0:
-            panel.set_ylabel("χ² divergence")
+            panel.set_ylabel(quantity)
     handles = [_handle(look[m.label], m.label) for m in results.methods if m.label in shown]
     handles.append(Line2D([], [], color="#999999", lw=1.0, label="front"))
     figure.legend(handles=handles, loc="lower center", ncols=legend_columns)
@@ -74,9 +80,14 @@ def _scene(results: Results, canvas: Canvas, scene: str) -> Drawn | None:
         figure,
         f"tradeoff-{scene}" if several else "tradeoff",
         f"What accuracy costs{f': {scene}' if several else ''}",
-        "χ² divergence of the pdf from its target (the variance under constant light) against "
-        f"the time of one rendered sample in the scene {scene}; both axes logarithmic, bars are "
-        "95% intervals. Lower and further left is better; the grey line joins the methods that "
+        (
+            "Relative variance of one sample's weight under constant light (median condition; "
+            "around a wrong mean where the table of bias says so)"
+            if weights
+            else "χ² divergence of the pdf from its target (the variance under constant light)"
+        )
+        + f" against the time of one rendered sample in the scene {scene}; both axes logarithmic, "
+        "bars are 95% intervals. Lower and further left is better; the grey line joins the methods that "
         "no other beats in both."
         + (f" The {_ALL} is of methods with a number on every material." * (len(panels) > 1)),
     )
@@ -85,7 +96,11 @@ def _scene(results: Results, canvas: Canvas, scene: str) -> Drawn | None:
 def _points(results: Results, material: str, scene: str) -> list[Point]:
     points = []
     for method in results.methods:
-        error = results.number("pdf", "chi2", material, method.label)
+        error = (
+            results.number("sample-weights", "relative-variance-median", material, method.label)
+            if results.trials("sample-weights")
+            else results.number("pdf", "chi2", material, method.label)
+        )
         time = nanoseconds_per_sample(results, material, method.label, scene)
         if isinstance(error, Estimate) and isinstance(time, Estimate):
             points.append(Point(method, time, error))
