@@ -87,8 +87,8 @@ def _scene(results: Results, canvas: Canvas, scene: str) -> Drawn | None:
             else "χ² divergence of the pdf from its target (the variance under constant light)"
         )
         + f" against the time of one rendered sample in the scene {scene}; both axes logarithmic, "
-        "bars are 95% intervals. Lower and further left is better; the grey line joins the methods that "
-        "no other beats in both."
+        "bars are 95% intervals. Lower and further left is better; the grey line joins the methods "
+        "that no other beats in both."
         + (f" The {_ALL} is of methods with a number on every material." * (len(panels) > 1)),
     )
 
