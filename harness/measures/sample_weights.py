@@ -33,8 +33,8 @@ class SampleWeights(Measure):
     - ``relative-variance``, ``relative-variance-median`` over conditions;
     - ``noise-free-variance``, ``noise-free-variance-median``: the same if f were known. Where f
       is a mean over random walks, f/p contains that mean's noise; of w and w', weights by
-      different walks at the same directions, E[(w - w')^2] / 2 is the noise's part. Equal to the
-      variance where f is a closed form or no part of the weight;
+      different walks at the same directions, the covariance is free of it. Equal to the variance
+      where f is a closed form or no part of the weight;
     - ``bias``: mean over conditions of E[w] / A - 1;
     - ``bias-rms``: root of the mean square of that, without what noise adds to it. After N
       samples the relative squared error is ``bias-rms``^2 + ``relative-variance`` / N. Zero if the
@@ -123,9 +123,11 @@ def _moments(
         u = torch.rand(len(many), 3, generator=job.generator).to(many.device)
         w = luminance(method.sample_weighted(many, u).weight).double()
         other = luminance(again.sample_weighted(many, u).weight).double() if again else w
-        apart = (w - other).square().view(-1, samples)
-        w = w.view(-1, samples)
-        found.append([w.mean(1), w.std(1) / samples**0.5, apart.mean(1) / 2])
+        w, other = w.view(-1, samples), other.view(-1, samples)
+        mean, variance = w.mean(1), w.var(1)
+        off, other_off = w - mean[:, None], other - other.mean(1)[:, None]
+        covariance = (off * other_off).sum(1) / (samples - 1)
+        found.append([mean, (variance / samples).sqrt(), variance - covariance])
     mean, error, noise = (torch.cat(parts).cpu().numpy() for parts in zip(*found, strict=True))
     return mean, error, noise
 
