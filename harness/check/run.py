@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 __all__ = ["CHECK_BUDGET", "FALSE_ALARM", "fit", "run_case", "run_checks", "verdict"]
 
-CHECK_BUDGET = Budget(steps=120, conditions=64, directions=32, resolution=32, pool=256)
+CHECK_BUDGET = Budget(steps=120, conditions=64, directions=32, resolution=32, pool=64)
 """Enough to leave the initialisation behind. Correctness must not depend on the fit's quality."""
 
 FALSE_ALARM = 5e-4
