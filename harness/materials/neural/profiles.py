@@ -51,7 +51,6 @@ _MINUTES = {
     "halvings": 18.0,
     "floor": 0.3,
 }
-_LONGER = {**_MINUTES, "queries": 8 << 20, "steps": 8000, "final_steps": 2400}
 
 PROFILES = {
     # A minute and a half of one core.
@@ -60,8 +59,7 @@ PROFILES = {
     # The offset learns slowly: better where a relief is fine and shallow.
     "steady": Profile(_SMALL, **_MINUTES, offset_share=0.02),
     # Four times as long, for rough and glossy surfaces whose highlights are rare.
-    "long": Profile(_SMALL, **_LONGER),
-    "long-steady": Profile(_SMALL, **_LONGER, offset_share=0.02),
+    "long": Profile(_SMALL, **{**_MINUTES, "queries": 8 << 20, "steps": 8000, "final_steps": 2400}),
     # The papers' sizes: 300 queries a texel of 512^2, batches of a million. For a GPU.
     "full": Profile(NEUSAMPLE, 80 << 20, 64, 27000, 1 << 20, 3000, 1 << 20),
     "full-pyramid": Profile(NEUMIP, 80 << 20, 64, 27000, 1 << 20, 3000, 1 << 20),
