@@ -517,6 +517,17 @@ def test_thumbnails_are_of_the_materials_that_were_rendered(tmp_path: Path):
     np.testing.assert_array_equal(reference(results, MATERIALS[0], "studio-sphere"), before)
 
 
+def test_images_of_another_size_are_no_reference(tmp_path: Path):
+    """Equal samples at half the size: the figure is drawn, without the reference it would have."""
+    results = Results.load(Made(materials=MATERIALS[:1]).write(tmp_path))
+    for trial in results.trials("equal-spp"):
+        images = results.stored(trial).images
+        images["mean"] = images["mean"][::2, ::2]
+    assert reference(results, MATERIALS[0], "studio-sphere").shape == (16, 16, 3)
+    drawn = FIGURES["images"](results, Canvas(tmp_path))
+    assert [each.png.name for each in drawn][:1] == [f"images-studio-sphere-{MATERIALS[0]}.png"]
+
+
 def test_grids_are_full():
     assert [grid_shape(n) for n in (1, 4, 5, 12, 13)] == [(1, 1), (1, 4), (2, 3), (3, 4), (4, 4)]
 

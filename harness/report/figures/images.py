@@ -83,6 +83,8 @@ def _figure(
 ) -> Drawn:
     truth = reference(results, material, scene)
     renders = [shot.image for shot in shots if shot.image is not None]
+    if truth is not None and truth.shape != renders[0].shape:
+        truth = None  # a suite may render the two measures in two sizes
     first = renders[0] if truth is None else truth
     mask = next((shot.mask for shot in shots if shot.mask is not None), None)
     look = _Look(truth, exposure(first), _worst_square(renders, first, mask), _side(first))
