@@ -109,8 +109,8 @@ def _figure(
             if truth is not None
             else "."
         )
-        + " relMSE: variance over squared mean, for the samples that fit the time; of a biased method "
-        "that is not all of its error.",
+        + " relMSE: variance over squared mean, for the samples that fit the time; of a biased "
+        "method that is not all of its error.",
         vector=False,
     )
 
