@@ -69,13 +69,15 @@ class Family(ColumnMaterial):
     def places(self, uv: Tensor) -> Tensor:
         """Free parameters [N, P] of the family laid out over a surface.
 
-        One or two vary with u and v over their whole ranges. More make a board of
+        One or two vary with u and v over their whole ranges, once from one whole number to the
+        next: scenes repeat their textures. More make a board of
         ``SWATCHES`` x ``SWATCHES`` tiles, each of which has the parameters of one point of a
         low-discrepancy sequence.
         """
         if not self.parameters or len(uv) == 0:
             return uv.new_empty(len(uv), self.n_features)
         if self.n_features <= 2:
+            uv = uv - uv.floor()
             return torch.stack([p.at(uv[:, i]) for i, p in enumerate(self.parameters)], 1)
         return self._board().to(uv)[_tile(uv)]
 
