@@ -230,6 +230,13 @@ def test_only_takes_several_names_of_a_key(tmp_path: Path):
     assert again == text, "there are no other methods"
 
 
+def test_only_takes_labels_with_an_equals_sign(tmp_path: Path):
+    named = {"name": "adapters.py:Named", "label": "named (k=1)"}
+    only = Options(only="method=Good,named (k=1),material=fake-b", dry_run=True)
+    text = go(tmp_path, only, methods=["adapters.py:Good", named])[1]
+    assert "probe · Good · fake-b" in text and "probe · named (k=1) · fake-b" in text
+
+
 @pytest.mark.parametrize(
     ("only", "message"),
     [

@@ -33,8 +33,9 @@ def parse(text: str | None, plan: Plan) -> Only:
         if not part.strip():
             continue
         key, equals, value = (piece.strip() for piece in part.partition("="))
-        if last and not equals:
-            key, equals, value = last, "=", key
+        # A label may have an equals sign of its own: histogram-mixture (loss=kl).
+        if last and (not equals or part.strip() in plan.labels(last)):
+            key, equals, value = last, "=", part.strip()
         last = key
         if key not in KEYS or not equals:
             hint = nearest(key, KEYS) if key not in KEYS else ""
