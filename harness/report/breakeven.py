@@ -87,7 +87,9 @@ def costs(results: Results, material: str, scene: str, shipped: bool = False) ->
         if isinstance(cost, str) or isinstance(start, str):
             missing[method.label] = cost if isinstance(cost, str) else str(start)
             continue
-        slope = np.exp(cost.variance - base.variance + cost.seconds)
+        # A draw of a variance that is hardly known may be anything: infinite never pays.
+        with np.errstate(over="ignore"):
+            slope = np.exp(cost.variance - base.variance + cost.seconds)
         mark = disturbed(results, TIMES, material, method.label, scene)
         lines[method.label] = CostLine(method, start, slope, mark)
     return Costs(material, scene, reference, lines, missing)
