@@ -19,7 +19,14 @@ from harness.importance_maps.training import MapBatches
 from harness.nets import MLP
 from harness.nets.blobs import Encoding, TableEncoder
 from harness.nets.tangents import with_tangents
-from harness.protocol import Budget, InputError, inside_disk, luminance, square_to_disk
+from harness.protocol import (
+    Budget,
+    InputError,
+    StateRefused,
+    inside_disk,
+    luminance,
+    square_to_disk,
+)
 from tests.disk import nodes
 from tests.materials import MATERIALS, HalfBlack
 
@@ -209,6 +216,26 @@ def test_density_is_one_over_the_jacobian_of_sampling(baked):
     density = (1 - share) / det + share / math.pi
     pdf = baked.sample(condition, u).pdf.double()
     assert ((density / pdf - 1).abs() < 0.05).double().mean() > 0.95
+
+
+@pytest.mark.parametrize(("gain", "refused"), [(1.0, False), (30.0, True)])
+def test_a_state_that_rounding_moves_is_refused(gain: float, refused: bool):
+    """Networks as fitted pass; of thirty times their weights, rounding moves some samples."""
+    method = registry.make("importance-baked", slices=32, resolution=16)
+    method.fit(TILTED, BUDGET, rng(3))
+    assert method.unsteady() == 0
+    scaled = {
+        name: value * gain if name.endswith("weight") else value
+        for name, value in method.state_dict().items()
+    }
+    again = registry.make("importance-baked", slices=32, resolution=16)
+    again.bind(TILTED)
+    if not refused:
+        again.load_state_dict(scaled)
+        return
+    with pytest.raises(StateRefused, match="importance-baked: state refused") as error:
+        again.load_state_dict(scaled)
+    assert error.value.number == again.unsteady() > 0
 
 
 def test_fit_lowers_the_divergence(baked):

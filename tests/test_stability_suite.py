@@ -172,11 +172,14 @@ def test_an_unknown_case_is_refused_with_the_nearest(catalogue):
 # --- the suite -----------------------------------------------------------------------------------
 
 
-def test_the_suite_covers_the_catalogue_and_every_method_of_table2_procedural():
+def test_the_suite_covers_the_catalogue_and_the_methods_of_other_suites():
+    """All of ``table2-procedural`` and of ``table2``, and the random walk, which families have."""
     plan = make_plan(load("stability"))
     assert set(plan.labels("material")) == {case.material for case in CATALOGUE.values()}
-    procedural = load("table2-procedural").suite
-    assert plan.labels("method") == [method.label for method in procedural.methods]
+    expected = {"random-walk"}
+    for name in ("table2-procedural", "table2"):
+        expected |= {method.label for method in load(name).suite.methods}
+    assert set(plan.labels("method")) == expected
     assert 1 - (1 - CASE_ALARM) ** (len(plan.labels("method")) * len(CATALOGUE)) < FALSE_ALARM
     trials = [trial for trial in plan.trials if trial.measure == "stability"]
     assert len(trials) == len(plan.labels("material")) * len(plan.labels("method"))
