@@ -13,7 +13,7 @@ from scipy.stats import chi2
 from zuko.transforms import MonotonicRQSTransform
 
 from harness.columns import columns_of, tensor_of
-from harness.fitting.flow_method import STEADY, UNIT
+from harness.fitting.steady import STEADY, UNIT
 from harness.nets import spline
 from harness.nets.extremes import FAR
 from harness.protocol import Budget, InputError, Material, StateRefused, inside_disk

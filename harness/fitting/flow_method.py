@@ -9,23 +9,13 @@ import torch
 from torch import Tensor, nn
 
 from harness.columns import ColumnMethod
-from harness.fitting.module_method import ModuleMethod
+from harness.fitting.steady import ROWS, SteadyMethod, moved
 from harness.nets import defensive, lobes
 from harness.nets.coupling import uniforms_of_normal
-from harness.protocol import Budget, FitReport, Material, StateRefused, inside_disk
-
-UNIT = 2.0**-24
-"""By how much single precision rounds a coordinate near one."""
-STEADY = 1 / 64
-"""Standard deviations of the base by which that rounding may move a base point.
-
-Fits of the paper's size and budget stay three hundred times below."""
-ROWS = 4096
-"""Samples looked at, each in a condition of its own. Not one may be moved by more: a thousandth
-of one condition's samples in the wrong place is what a test of the tail finds."""
+from harness.protocol import Budget, FitReport, Material, inside_disk
 
 
-class FlowMethod(ModuleMethod, ColumnMethod):
+class FlowMethod(SteadyMethod, ColumnMethod):
     r"""A flow :math:`z = T(\omega)` with a standard normal base, and a uniform share beside it.
 
     .. math:: p(\omega) = (1 - \varepsilon)\,\mathcal{N}(T(\omega))
@@ -45,6 +35,7 @@ class FlowMethod(ModuleMethod, ColumnMethod):
     """
 
     uniforms = 3
+    origin = "its base point"
     uniform: float
 
     @abstractmethod
@@ -88,17 +79,8 @@ class FlowMethod(ModuleMethod, ColumnMethod):
             StateRefused: the fit ended where single precision cannot follow (:meth:`unsteady`).
         """
         report = super().fit(material, budget, generator)
-        self._refuse_unsteady()
+        self.refuse_unsteady()
         return report
-
-    def load_state_dict(self, state: dict[str, Tensor]) -> None:
-        """See :meth:`Method.load_state_dict`; ``bind`` first.
-
-        Raises:
-            StateRefused: single precision cannot follow this state (:meth:`unsteady`).
-        """
-        super().load_state_dict(state)
-        self._refuse_unsteady()
 
     @torch.no_grad()
     def unsteady(self) -> float:
@@ -116,17 +98,9 @@ class FlowMethod(ModuleMethod, ColumnMethod):
         condition = self.material.conditions(ROWS, generator, str(device)).double()
         z = torch.randn(ROWS, 1, 2, generator=generator, dtype=torch.float64).to(device)
         wo = self.from_base(net, condition, z)
-        steps = UNIT * torch.tensor([[0.0, 0], [1, 0], [0, 1]], device=device)
-        at, *moved = self.to_base(net, condition, wo + steps)[0].unbind(1)
-        far = torch.stack([(m - at).abs().amax(-1) for m in moved]).amax(0) > STEADY
-        return float((far & inside_disk(wo[:, 0])).double().mean())
 
-    def _refuse_unsteady(self) -> None:
-        share = self.unsteady()
-        if share:
-            raise StateRefused(
-                f"{self.name}: state refused: in {share:.2%} of the samples the rounding of the"
-                f" direction moves its base point by more than {STEADY:.1g} deviations, so that the"
-                " density would not be that of what is drawn; expected none",
-                share,
-            )
+        def origin(at: Tensor) -> Tensor:
+            return self.to_base(net, condition, at[:, None])[0][:, 0]
+
+        far = moved(origin, wo[:, 0], 1.0)
+        return float((far & inside_disk(wo[:, 0])).double().mean())

@@ -9,13 +9,12 @@ import torch
 from torch import Tensor
 
 from harness.columns import ColumnMethod
-from harness.fitting import ModuleMethod
-from harness.fitting.flow_method import ROWS, STEADY, UNIT
 from harness.fitting.precision import round_weights
+from harness.fitting.steady import ROWS, UNIT, SteadyMethod, moved
 from harness.fitting.train import minimise
 from harness.importance_maps.database import BakeSettings, Maps
 from harness.importance_maps.training import MapBatches, maps_for
-from harness.protocol import Budget, FitReport, Material, StateRefused
+from harness.protocol import Budget, FitReport, Material
 
 UNIFORM_DEVIATION = 12**-0.5
 """Of a uniform number."""
@@ -23,7 +22,7 @@ RIM = 2.0**-16
 """So near the rim the disk's chord is shorter than rounding lets it be known, for any state."""
 
 
-class BakedMethod(ModuleMethod, ColumnMethod):
+class BakedMethod(SteadyMethod, ColumnMethod):
     """A fit bakes the maps of a material's slices, then learns from cells of them.
 
     ``slices`` maps are baked, no more than the budget's ``pool``, or read from ``database``, a
@@ -31,6 +30,7 @@ class BakedMethod(ModuleMethod, ColumnMethod):
     (:meth:`meet`) and gives the loss of a batch (:meth:`baked_loss`).
     """
 
+    origin = "its uniforms"
     slices: int
     settings: BakeSettings
     database: Path | None
@@ -70,50 +70,27 @@ class BakedMethod(ModuleMethod, ColumnMethod):
         )
         round_weights(self.module, self.precision)
         report.notes = self.notes(maps)
-        self._refuse_unsteady()
+        self.refuse_unsteady()
         return report
-
-    def load_state_dict(self, state: dict[str, Tensor]) -> None:
-        """See :meth:`Method.load_state_dict`; ``bind`` first.
-
-        Raises:
-            StateRefused: single precision cannot follow this state (:meth:`unsteady`).
-        """
-        super().load_state_dict(state)
-        self._refuse_unsteady()
 
     @torch.no_grad()
     def unsteady(self) -> float:
-        """Share of ``ROWS`` samples whose uniforms move more than ``STEADY`` when wo is rounded.
+        """See :meth:`SteadyMethod.unsteady`: of the map, by the uniforms of its samples.
 
-        As :meth:`FlowMethod.unsteady`: always the same samples, each in a condition of its own,
-        their uniforms found in double precision. Zero for a method without an inverse.
+        Zero where the pdf is a guess: that belongs to no sample in the first place.
         """
         if self.material is None:
             raise RuntimeError(f"{self.name}: used before fit or bind")
+        if not self.exact_pdf:
+            return 0.0
         generator = torch.Generator().manual_seed(0)
         device = next(self.module.parameters()).device
         condition = self.material.conditions(ROWS, generator, str(device))
         u = torch.rand(ROWS, 3, generator=generator).to(device)
         u[:, 2] = 1 - UNIT  # of the map, not of the uniform share beside it
         wo = self.sample(condition, u).wo.double()
-        at = self.inverse(condition, wo)
-        if at is None:
-            return 0.0
-        steps = UNIT * torch.eye(2, dtype=torch.float64, device=device)
-        moved = [(self.inverse(condition, wo + s) - at).abs().amax(1) for s in steps]
-        far = torch.stack(moved).amax(0) > STEADY * UNIFORM_DEVIATION
+        far = moved(lambda at: self.inverse(condition, at), wo, UNIFORM_DEVIATION)
         return float((far & (wo.norm(dim=1) < 1 - RIM)).double().mean())
-
-    def _refuse_unsteady(self) -> None:
-        share = self.unsteady()
-        if share:
-            raise StateRefused(
-                f"{self.name}: state refused: in {share:.2%} of the samples the rounding of the"
-                f" direction moves its uniforms by more than {STEADY:.1g} deviations, so that the"
-                " density would not be that of what is drawn; expected none",
-                share,
-            )
 
     @abstractmethod
     def meet(self, condition: Tensor) -> None:

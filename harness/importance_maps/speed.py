@@ -20,11 +20,10 @@ from harness.importance_maps.quality import coarse, histogram
 from harness.importance_maps.slices import Slice, slices_of
 from harness.importance_maps.transport import cost, grid, transport
 from harness.materials import registry
+from harness.report.tables.importance_maps import LOBES
 from harness.stats.chisquare import chi_square
 
 RESOLUTIONS = (32, 64, 128)
-LOBES = (("broad", 0.25, 2.0), ("glossy", 0.02, 0.25), ("narrow", 0.0, 0.02))
-"""By the effective share of the disk that a slice covers, as in the suite's tables."""
 FAMILIES = ("ggx-conductor", "layered", "disney")
 _TRIED, _BINS = 64, 16
 

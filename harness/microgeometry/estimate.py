@@ -144,6 +144,7 @@ def energy(
             sums[0, first:last] += of_path.sum(1)
             sums[1, first:last] += of_path.square().sum(1)
     mean = sums[0] / samples
+    # Where all paths agree, rounding may leave less than zero, which has no root.
     variance = (sums[1] / samples - mean.square()).clamp(min=0) / (samples - 1)
     return mean.float(), variance.sqrt().float()
 

@@ -68,13 +68,12 @@ class WalkFamily(Family):
             packed = tensor_of(x, y, *weight, rows=n)
         return packed[:, :2], packed[:, 2:]
 
-    def eval_again(self, condition: Tensor, wo: Tensor, seed: int) -> Tensor:
-        """:meth:`eval` [N, 3] of other random walks: ``seed`` > 0 is independent of 0, eval's."""
-        with torch.inference_mode():
-            f = self.eval_columns(columns_of(condition), columns_of(wo), seed)
-            return tensor_of(*f, rows=len(condition))
-
     def noise(self, condition: Tensor, wo: Tensor, repeats: int = 16) -> Tensor:
         """Standard deviation [N, 3] of :meth:`eval`, from evaluations of other seeds."""
-        values = [self.eval_again(condition, wo, seed) for seed in range(1, repeats + 1)]
+        c, at = columns_of(condition), columns_of(wo)
+        with torch.inference_mode():
+            values = [
+                tensor_of(*self.eval_columns(c, at, seed), rows=len(condition))
+                for seed in range(1, repeats + 1)
+            ]
         return torch.stack(values).std(0)
