@@ -15,13 +15,12 @@ import numpy as np
 import torch
 
 from harness import machine, registry, store
-from harness.effects import is_auto
 from harness.measures import registry as measures
 from harness.measures.base import Job, Outcome
-from harness.measures.fit import restore
 from harness.measures.guard import BadAdapter
-from harness.protocol import BudgetExceeded, InputError, Material, Method, Unsupported
-from harness.runner import shipped
+from harness.protocol import BudgetExceeded, InputError, Unsupported
+from harness.runner import shipped, sittings
+from harness.runner.jobs import Jobs
 from harness.runner.progress import Progress
 from harness.runner.todo import FINAL, Group, Unit
 from harness.runner.turns import turn
@@ -31,7 +30,7 @@ from harness.suite.trials import FIT, Trial, stream_seed
 
 
 class Worker:
-    """Does the work of one run. Materials, scenes and fitted methods are made once."""
+    """Does the work of one run."""
 
     def __init__(
         self,
@@ -43,13 +42,7 @@ class Worker:
     ):
         self.plan, self.results, self.stored, self.progress = plan, results, stored, progress
         self.refit = refit
-        # Kept for the whole run: measures may remember something by the object.
-        self.materials: dict[str, Material] = {}
-        self.scenes: dict[str, Any] = {}
-        self.resolved: dict[str, tuple[Any, Any]] = {}
-        self.choices: dict[str, dict[str, Any]] = {}
-        """By trial: what ``effects: auto`` came to, and why."""
-        self.fitted: dict[str, Method] = {}
+        self.jobs = Jobs(plan.baseline, results, stored, progress.note)
 
     def unit(self, unit: Unit) -> None:
         """Fit all methods to one material, then measure them."""
@@ -58,7 +51,7 @@ class Worker:
                 self._group(Group([trial]))
         for group in unit.groups:
             self._group(group)
-        self.fitted.clear()
+        self.jobs.forget_methods()
         gc.collect()
 
     def _adopt(self, trial: Trial) -> bool:
@@ -122,7 +115,7 @@ class Worker:
             self._save(trial, outcome, started, share)
 
     def _outcomes(self, trials: list[Trial]) -> list[Outcome]:
-        jobs: list[Job | Outcome] = [_caught(lambda t=t: self._job(t)) for t in trials]
+        jobs: list[Job | Outcome] = [_caught(lambda t=t: self.jobs.make(t)) for t in trials]
         for trial, job in zip(trials, jobs, strict=True):
             if trial.timed and trial.method == self.plan.baseline and isinstance(job, Outcome):
                 reason = f"the baseline {trial.method} failed: {job.reason}"
@@ -138,8 +131,12 @@ class Worker:
 
     def _checked_run(self, measure: Any, jobs: list[Job]) -> list[Outcome]:
         first = jobs[0].trial
-        torch.manual_seed(stream_seed(first.measure, first.seed))
-        outcomes = measure.run(jobs, self.progress.note)
+        if sittings.count(measure, first) > 1:
+            trials = [job.trial for job in jobs]
+            outcomes = sittings.run(measure, trials, self.jobs, self.progress.note)
+        else:
+            torch.manual_seed(stream_seed(first.measure, first.seed))
+            outcomes = measure.run(jobs, self.progress.note)
         if len(outcomes) != len(jobs):
             raise RuntimeError(f"{measure.name}: {len(outcomes)} outcomes for {len(jobs)} jobs")
         return [finished(outcome) for outcome in outcomes]
@@ -157,64 +154,6 @@ class Worker:
             outcome = _caught(lambda pair=pair: self._checked_run(measure, pair))
             found.append(outcome if isinstance(outcome, Outcome) else outcome[-1])
         return found
-
-    # --- what a job is made of -----------------------------------------------------------------
-
-    def _job(self, trial: Trial) -> Job:
-        def make() -> Method:
-            return registry.make(trial.method_name, **trial.params)
-
-        fresh = trial.measure == FIT
-        return Job(
-            trial=trial,
-            material=self._material(trial),
-            method=make() if fresh else self._fitted(trial, make),
-            scene=self._scene(trial),
-            seed=trial.seed,
-            generator=torch.Generator().manual_seed(stream_seed(trial.measure, trial.seed)),
-            settings=dict(trial.settings),
-            budget=trial.budget,
-            out_dir=store.scratch(self.results, trial.hash),
-            make=make,
-            baseline=trial.method == self.plan.baseline,
-            fit_records={}
-            if fresh
-            else {r["metric"]: r["value"] for r in self.stored[trial.fit].records},
-        )
-
-    def _material(self, trial: Trial) -> Material:
-        if trial.material not in self.materials:
-            from harness.materials import registry as materials
-
-            self.materials[trial.material] = materials.make(trial.material_spec)
-        return self.materials[trial.material]
-
-    def _scene(self, trial: Trial) -> Any | None:
-        if not trial.scene:
-            return None
-        if trial.scene not in self.scenes:
-            from harness.scenes import registry as scenes
-
-            self.scenes[trial.scene] = scenes.make(trial.scene_spec)
-        scene = self.scenes[trial.scene]
-        return self._resolved(trial, scene) if is_auto(scene.effects) else scene
-
-    def _resolved(self, trial: Trial, scene: Any) -> Any:
-        """The scene with what ``auto`` stands for here; why is stored with every trial."""
-        key = f"{trial.scene}\0{trial.material}"
-        if key not in self.resolved:
-            from harness.measures.auto import resolve
-
-            self.resolved[key] = resolve(scene, self._material(trial), self.progress.note)
-        found, choice = self.resolved[key]
-        self.choices[trial.hash] = choice.as_json()
-        return found
-
-    def _fitted(self, trial: Trial, make: Callable[[], Method]) -> Method:
-        if trial.fit not in self.fitted:
-            state = self.stored[trial.fit].tensors(trial.budget.device)
-            self.fitted[trial.fit] = restore(make(), self._material(trial), state)
-        return self.fitted[trial.fit]
 
     # --- storing -------------------------------------------------------------------------------
 
@@ -235,8 +174,8 @@ class Worker:
             "started": started,
             "seconds": round(seconds, 3),
         }
-        if trial.hash in self.choices:
-            described["effects"] = self.choices[trial.hash]
+        if trial.hash in self.jobs.choices:
+            described["effects"] = self.jobs.choices[trial.hash]
         if trial.fit:
             described["fit"] = trial.fit
         if origin:

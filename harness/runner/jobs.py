@@ -1,0 +1,98 @@
+"""What a trial's job is made of: its material, scene and fitted method, each made once."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from harness import registry, store
+from harness.effects import is_auto
+from harness.measures.base import Job
+from harness.measures.fit import restore
+from harness.protocol import Material, Method
+from harness.store import Stored
+from harness.suite.trials import FIT, Trial, stream_seed
+
+
+class Jobs:
+    """Makes jobs, and keeps what they share: measures may remember something by the object.
+
+    ``stored`` are the trials in ``results`` by hash, the fits among them; a caller that adds to it
+    may ask for jobs that need what was added.
+    """
+
+    def __init__(
+        self, baseline: str, results: Path, stored: dict[str, Stored], note: Callable[[str], None]
+    ):
+        self.baseline, self.results, self.stored, self.note = baseline, results, stored, note
+        self.choices: dict[str, dict[str, Any]] = {}
+        """By trial: what ``effects: auto`` came to, and why."""
+        self._materials: dict[str, Material] = {}
+        self._scenes: dict[str, Any] = {}
+        self._resolved: dict[str, tuple[Any, Any]] = {}
+        self._fitted: dict[str, Method] = {}
+
+    def make(self, trial: Trial) -> Job:
+        """The job of ``trial``; a method comes unfitted for the measure ``fit`` alone."""
+
+        def make() -> Method:
+            return registry.make(trial.method_name, **trial.params)
+
+        fresh = trial.measure == FIT
+        return Job(
+            trial=trial,
+            material=self._material(trial),
+            method=make() if fresh else self._restored(trial, make),
+            scene=self._scene(trial),
+            seed=trial.seed,
+            generator=torch.Generator().manual_seed(stream_seed(trial.measure, trial.seed)),
+            settings=dict(trial.settings),
+            budget=trial.budget,
+            out_dir=store.scratch(self.results, trial.hash),
+            make=make,
+            baseline=trial.method == self.baseline,
+            fit_records={}
+            if fresh
+            else {r["metric"]: r["value"] for r in self.stored[trial.fit].records},
+        )
+
+    def forget_methods(self) -> None:
+        """Free the fitted methods: those of one material are of no use for the next."""
+        self._fitted.clear()
+
+    def _material(self, trial: Trial) -> Material:
+        if trial.material not in self._materials:
+            from harness.materials import registry as materials
+
+            self._materials[trial.material] = materials.make(trial.material_spec)
+        return self._materials[trial.material]
+
+    def _scene(self, trial: Trial) -> Any | None:
+        if not trial.scene:
+            return None
+        if trial.scene not in self._scenes:
+            from harness.scenes import registry as scenes
+
+            self._scenes[trial.scene] = scenes.make(trial.scene_spec)
+        scene = self._scenes[trial.scene]
+        return self._without_auto(trial, scene) if is_auto(scene.effects) else scene
+
+    def _without_auto(self, trial: Trial, scene: Any) -> Any:
+        """The scene with what ``auto`` stands for here; why is stored with every trial."""
+        key = f"{trial.scene}\0{trial.material}"
+        if key not in self._resolved:
+            from harness.measures.auto import resolve
+
+            self._resolved[key] = resolve(scene, self._material(trial), self.note)
+        found, choice = self._resolved[key]
+        self.choices[trial.hash] = choice.as_json()
+        return found
+
+    def _restored(self, trial: Trial, make: Callable[[], Method]) -> Method:
+        if trial.fit not in self._fitted:
+            state = self.stored[trial.fit].tensors(trial.budget.device)
+            self._fitted[trial.fit] = restore(make(), self._material(trial), state)
+        return self._fitted[trial.fit]

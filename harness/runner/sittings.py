@@ -1,0 +1,112 @@
+"""Timings over several processes: what is the same in all rounds of one is another in the next.
+
+Where memory comes to lie differs from process to process by per cents, and an interval over
+the rounds of one cannot know it. With ``sittings`` (see
+:class:`~harness.measures.throughput.BatchSettings`) the whole measure is run that often, each time
+in a fresh process, and :func:`harness.measures.pooled.pooled` makes one outcome of them.
+"""
+
+from __future__ import annotations
+
+import signal
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from multiprocessing import get_context
+from multiprocessing.connection import Connection
+from pathlib import Path
+
+import torch
+
+from harness.measures import registry as measures
+from harness.measures.base import Measure, Outcome
+from harness.measures.pooled import pooled
+from harness.registry import oneline
+from harness.runner.jobs import Jobs
+from harness.store import Stored
+from harness.suite.trials import Trial, stream_seed
+
+SITTINGS = "sittings"
+"""Name of the setting."""
+_APART = 1000
+"""Between the seeds of two sittings, so that none repeats another's random numbers."""
+
+
+def count(measure: Measure, trial: Trial) -> int:
+    """In how many processes ``trial`` is to be timed; 1 for a measure that knows no sittings."""
+    return getattr(measure.Settings(**trial.settings), SITTINGS, 1)
+
+
+@dataclass(frozen=True)
+class _Asked:
+    """What a sitting needs to make its own jobs."""
+
+    trials: list[Trial]
+    baseline: str
+    results: Path
+    stored: dict[str, Stored]
+    number: int
+
+
+def run(
+    measure: Measure, trials: list[Trial], jobs: Jobs, note: Callable[[str], None]
+) -> list[Outcome]:
+    """One outcome for each of ``trials`` [T], pooled over the sittings.
+
+    Raises:
+        RuntimeError: a sitting failed or ended without an answer.
+    """
+    needed = {trial.fit: jobs.stored[trial.fit] for trial in trials}
+    total = count(measure, trials[0])
+    found = [
+        _sitting(
+            _Asked(trials, jobs.baseline, jobs.results, needed, n),
+            lambda text, n=n: note(f"sitting {n + 1} of {total}: {text}"),
+        )
+        for n in range(total)
+    ]
+    tolerance = measure.Settings(**trials[0].settings).tolerance
+    return [pooled(outcomes, tolerance) for outcomes in zip(*found, strict=True)]
+
+
+def _sitting(asked: _Asked, note: Callable[[str], None]) -> list[Outcome]:
+    context = get_context("spawn")  # a fork would share the memory whose place is to vary
+    here, there = context.Pipe(duplex=False)
+    process = context.Process(target=_sit, args=(there, asked))
+    process.start()
+    there.close()
+    try:
+        while True:
+            kind, said = here.recv()
+            if kind == "done":
+                return said
+            if kind == "failed":
+                raise RuntimeError(f"in a sitting: {said}")
+            note(said)
+    except EOFError:
+        process.join()
+        raise RuntimeError(f"a sitting ended with exit status {process.exitcode}") from None
+    finally:
+        process.terminate()
+        process.join()
+
+
+def _sit(parent: Connection, asked: _Asked) -> None:
+    """In the process: the measure, once."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the parent, which ends this one
+
+    def note(text: str) -> None:
+        parent.send(("note", text))
+
+    try:
+        first = asked.trials[0]
+        seed = first.seed + _APART * asked.number
+        stream = stream_seed(first.measure, seed)
+        torch.manual_seed(stream)
+        make = Jobs(asked.baseline, asked.results, asked.stored, note).make
+        jobs = [
+            replace(make(trial), seed=seed, generator=torch.Generator().manual_seed(stream))
+            for trial in asked.trials
+        ]
+        parent.send(("done", measures.make(first.measure).run(jobs, note)))
+    except BaseException as error:
+        parent.send(("failed", oneline(error)))

@@ -1,0 +1,163 @@
+"""Timings over processes: pooled rightly, and really taken in processes of their own."""
+
+from __future__ import annotations
+
+import io
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from rich.console import Console
+from scipy import stats
+
+from harness import load_results, store
+from harness.measures.base import Outcome, Record
+from harness.measures.pooled import pooled
+from harness.runner.run import Options, run
+from harness.stats import median_interval
+from harness.suite.load import load
+from harness.suite.plan import make_plan
+from tests.test_stats_coverage import check
+
+
+def sitting(ratio: float, seconds: float = 1.0, disturbed: float = 0.0) -> Outcome:
+    return Outcome(
+        records=[
+            Record("batch", 64.0, unit="1"),
+            Record("seconds-per-spp", seconds, 0.9 * seconds, 1.1 * seconds, "s"),
+            Record("time-ratio", ratio, 0.99 * ratio, 1.01 * ratio, "1"),
+            Record("metering-overhead", ratio - 2, unit="1"),
+            Record("disturbed", disturbed, unit="1"),
+        ],
+        arrays={"seconds": np.array([seconds, 2.0]), "round_spp": np.array(3)},
+    )
+
+
+def test_values_and_intervals() -> None:
+    ratios = np.array([1.98, 2.0, 2.04])
+    found = pooled([sitting(r) for r in ratios], tolerance=0.1)
+    by = {r.metric: r for r in found.records}
+    assert by["batch"] == Record("batch", 64.0, unit="1")
+    assert by["seconds-per-spp"].ci_low == 0.9  # the same in all: nothing to pool
+    logs = np.log(ratios)
+    half = stats.t.ppf(0.975, 2) * logs.std(ddof=1) / math.sqrt(3)
+    assert by["time-ratio"].value == pytest.approx(math.exp(logs.mean()))
+    assert by["time-ratio"].ci_high == pytest.approx(math.exp(logs.mean() + half))
+    assert by["metering-overhead"].value == pytest.approx(np.mean(ratios - 2))  # of both signs
+    assert by["disturbed"].value == 0
+    assert found.reason == ""
+    assert found.arrays["seconds"].tolist() == [1, 2, 1, 2, 1, 2]
+    assert found.arrays["round_spp"].tolist() == [3, 3, 3]
+    assert found.arrays["sitting"].shape == (3, 4)
+
+
+def test_disturbed_is_what_the_pooled_interval_says() -> None:
+    narrow = pooled([sitting(r, disturbed=1.0) for r in (1.99, 2.0, 2.01)], tolerance=0.1)
+    assert narrow.records[-1] == Record("disturbed", 0.0, unit="1")
+    wide = pooled([sitting(r) for r in (1.8, 2.0, 2.2)], tolerance=0.1)
+    assert wide.records[-1] == Record("disturbed", 1.0, unit="1")
+    assert wide.reason.startswith("disturbed: interval wider than 10% over 3 sittings: time-ratio")
+
+
+def test_the_baseline_is_judged_by_its_times() -> None:
+    def base(seconds: float) -> Outcome:
+        one = sitting(1.0, seconds)
+        one.records[2] = Record("time-ratio", 1.0, 1.0, 1.0, "1")
+        return one
+
+    assert pooled([base(s) for s in (1.0, 1.01)], tolerance=0.2).records[-1].value == 0
+    found = pooled([base(s) for s in (1.0, 1.3)], tolerance=0.2)
+    assert found.records[-1].value == 1
+    assert "seconds-per-spp" in found.reason
+
+
+def test_a_failure_stands_for_all() -> None:
+    failed = Outcome("nonfinite", "seconds is nan")
+    assert pooled([sitting(2.0), failed], tolerance=0.1) is failed
+
+
+def test_coverage_where_processes_differ() -> None:
+    """2 % from process to process, 1 % from round to round; the rounds of one cannot know."""
+    rng, trials, held, alone = np.random.default_rng(2), 600, 0, 0
+    for _ in range(trials):
+        rounds = np.exp(0.02 * rng.standard_normal((5, 1)) + 0.01 * rng.standard_normal((5, 8)))
+        found = pooled([sitting(float(np.median(r))) for r in rounds], tolerance=0.1)
+        ratio = next(r for r in found.records if r.metric == "time-ratio")
+        held += ratio.ci_low <= 1 <= ratio.ci_high
+        one = median_interval(rounds[0])
+        alone += one.low <= 1 <= one.high
+    check(held / trials, trials)
+    assert alone / trials < 0.7
+
+
+ADAPTER = '''
+import os
+import torch
+from harness import DiskSample, Method
+from harness.protocol import square_to_disk
+
+
+class Good(Method):
+    """Uniform on the disk."""
+
+    def sample(self, condition, u):
+        return DiskSample(square_to_disk(u[:, :2]), torch.full((len(u),), 0.31830988618))
+
+    def pdf(self, condition, wo):
+        return torch.full((len(wo),), 0.31830988618)
+
+
+class Dies(Good):
+    """Only in a process that is not the one that fitted it."""
+
+    def fit(self, material, budget, generator):
+        report = super().fit(material, budget, generator)
+        self.home = torch.tensor([os.getpid()])
+        return report
+
+    def state_dict(self):
+        return {"home": self.home}
+
+    def load_state_dict(self, state):
+        self.home = state["home"]
+
+    def pdf(self, condition, wo):
+        if int(self.home) != os.getpid():
+            raise RuntimeError("far from home")
+        return super().pdf(condition, wo)
+'''
+
+
+def test_every_sitting_is_a_process(tmp_path: Path) -> None:
+    (tmp_path / "adapters.py").write_text(ADAPTER)
+    suite = {
+        "name": "sat",
+        "materials": ["suede"],
+        "methods": ["cosine", "adapters.py:Good", "adapters.py:Dies"],
+        "baseline": "cosine",
+        "measures": ["throughput"],
+        "profiles": {
+            "quick": {
+                "measures": {
+                    "throughput": {"sittings": 2, "batch": 256, "rounds": 6, "least_seconds": 1e-4}
+                }
+            }
+        },
+    }
+    (tmp_path / "suite.yaml").write_text(yaml.safe_dump(suite))
+    text, out = io.StringIO(), tmp_path / "out"
+    plan = make_plan(load(tmp_path / "suite.yaml"))
+    assert run(plan, out, Options(), Console(file=text, width=200)) == 1
+    rows = load_results(out)
+    rows = rows[rows["measure"] == "throughput"]
+    dies = rows[rows["method"] == "Dies"]
+    assert dies["status"].item() == "error"
+    assert dies["reason"].item() == "RuntimeError: in a sitting: RuntimeError: far from home"
+    good = rows[(rows["method"] == "Good") & (rows["metric"] == "sample-time-ratio")]
+    assert good["status"].item() == "ok"
+    assert good["ci_low"].item() < good["value"].item() < good["ci_high"].item()
+    stored = store.load_trial(out, good["trial"].item())
+    assert stored.arrays["sitting"].shape[0] == 2
+    assert len(stored.arrays["sample_seconds"]) >= 12
