@@ -20,7 +20,7 @@ def register(app: typer.Typer) -> None:
         description: Annotated[str, typer.Argument(help="Microgeometry: a .yaml file or a name.")],
         out: Annotated[Path, typer.Option(help="File to write: NAME.safetensors.")],
         profile: Annotated[
-            str, typer.Option(help="quick, steady, long, full, quick-pyramid or full-pyramid.")
+            str, typer.Option(help="quick, long, full, quick-pyramid or full-pyramid.")
         ] = "quick",
         set_: Annotated[
             list[str] | None,

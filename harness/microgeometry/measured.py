@@ -15,6 +15,7 @@ from torch import Tensor
 
 from harness.microgeometry.btf_file import Btf, read
 from harness.protocol import InputError
+from harness.streams import generator
 
 ROWS = 1 << 14
 """Look-ups decoded at a time, which bounds the memory."""
@@ -93,13 +94,13 @@ class MeasuredSurface:
         light: float = 0.0,
     ) -> Tensor:
         """See :func:`harness.microgeometry.queries.truth`: [N, 3] on ``device``."""
-        generator = torch.Generator().manual_seed(seed % 2**63)
+        random = generator(seed)
         result = np.empty((len(u), 3), np.float32)
         rows = max(1, ROWS // samples)
         for first in range(0, len(u), rows):
             part = slice(first, first + rows)
             result[part] = self._mean(
-                *(x[part].cpu().numpy() for x in (u, kernel, wi, wo)), samples, generator
+                *(x[part].cpu().numpy() for x in (u, kernel, wi, wo)), samples, random
             )
         return torch.from_numpy(result).to(device)
 

@@ -14,6 +14,7 @@ from torch import Tensor
 
 from harness.microgeometry.estimate import LIGHT
 from harness.protocol import InputError, square_to_disk
+from harness.streams import generator
 
 
 class Queries(NamedTuple):
@@ -103,10 +104,10 @@ def energy(
 
 def stratified(n: int, side: int, seed: int) -> Tensor:
     """``n`` sets [n, side^2, 2] of directions on the disk, one in each cell of equal area."""
-    generator = torch.Generator().manual_seed(seed)
+    random = generator(seed)
     y, x = torch.meshgrid(torch.arange(side), torch.arange(side), indexing="ij")
     cell = torch.stack([x, y], -1).view(1, -1, 2)
-    uniform = (cell + torch.rand(n, side * side, 2, generator=generator)) / side
+    uniform = (cell + torch.rand(n, side * side, 2, generator=random)) / side
     return _inside(square_to_disk(uniform).view(-1, 2)).view(n, -1, 2)
 
 
@@ -138,8 +139,7 @@ def draw(
     the finest that the surface has. Many queries of few samples teach more than few of many.
     """
     low, high = _range(surface, kernel)
-    generator = torch.Generator().manual_seed(seed)
-    random = torch.rand(n, 7, generator=generator)
+    random = torch.rand(n, 7, generator=generator(seed))
     sigma = torch.full((n,), low)
     if high > low:
         sigma = low * (high / low) ** random[:, 6]

@@ -58,7 +58,7 @@ class Energies(NamedTuple):
 
 @dataclass(frozen=True)
 class Held:
-    """Truth that no training of a small seed has seen; made once, compared with any network.
+    """Truth at places and directions that no training draws; made once, compared with any network.
 
     ``single`` are queries of many paths.
     """
