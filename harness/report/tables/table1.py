@@ -65,10 +65,11 @@ def table1(results: Results) -> Table | str:
         )
         for scene in scenes
     ]
-    rounds = results.counts(MEASURE, "seconds")
-    said = circumstances(
-        results, MEASURE, f"{rounds} interleaved rounds" if rounds else "", timed=True
-    )
+    rounds, sittings = results.counts(MEASURE, "seconds"), results.counts(MEASURE, "sitting")
+    taken = f"{rounds} interleaved rounds" if rounds else ""
+    if sittings:
+        taken += f" in {sittings} processes, geometric means over these"
+    said = circumstances(results, MEASURE, taken, timed=True)
     where = f" Scene: {scenes[0]}." if len(scenes) == 1 else ""
     return Table(
         name="table1",
