@@ -114,6 +114,18 @@ def test_energy_of_a_lossless_relief(depth):
         assert ((found - 1).abs() <= 4.5 * error + 1e-4).all()
 
 
+def test_the_error_of_an_energy_where_all_paths_agree_and_where_they_do_not():
+    """Rounding could make the variance of equal paths negative, and its root nan."""
+    u, wi, _ = rows(256, 8)
+    paint = {"type": "diffuse", "reflectance": {"type": "rgb", "value": [0.3, 0.7, 0.9]}}
+    matt = Surface("matt", np.zeros((16, 16)), paint)
+    found, error = energy(matt, u, torch.zeros(256), wi, 333, 1)
+    assert (found - torch.tensor([0.3, 0.7, 0.9])).abs().max() < 1e-5
+    assert (error >= 0).all() and error.max() < 1e-6
+    found, error = energy(white(), u, torch.zeros(256), wi, 333, 1, depth=1)
+    assert (error > 0).float().mean() > 0.3
+
+
 def test_an_integral_over_strata_and_its_error():
     """Errors are those of noise, and an upper bound, far below 1 / sqrt(n), where f is smooth."""
     n, side = 400, 8
