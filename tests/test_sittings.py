@@ -96,7 +96,7 @@ ADAPTER = '''
 import os
 import torch
 from harness import DiskSample, Method
-from harness.protocol import square_to_disk
+from harness.protocol import BudgetExceeded, square_to_disk
 
 
 class Good(Method):
@@ -112,6 +112,8 @@ class Good(Method):
 class Dies(Good):
     """Only in a process that is not the one that fitted it."""
 
+    trouble = RuntimeError
+
     def fit(self, material, budget, generator):
         report = super().fit(material, budget, generator)
         self.home = torch.tensor([os.getpid()])
@@ -125,8 +127,14 @@ class Dies(Good):
 
     def pdf(self, condition, wo):
         if int(self.home) != os.getpid():
-            raise RuntimeError("far from home")
+            raise self.trouble("far from home")
         return super().pdf(condition, wo)
+
+
+class Late(Dies):
+    """The same, and a timeout."""
+
+    trouble = BudgetExceeded
 '''
 
 
@@ -135,7 +143,7 @@ def test_every_sitting_is_a_process(tmp_path: Path) -> None:
     suite = {
         "name": "sat",
         "materials": ["suede"],
-        "methods": ["cosine", "adapters.py:Good", "adapters.py:Dies"],
+        "methods": ["cosine", "adapters.py:Good", "adapters.py:Dies", "adapters.py:Late"],
         "baseline": "cosine",
         "measures": ["throughput"],
         "profiles": {
@@ -155,6 +163,11 @@ def test_every_sitting_is_a_process(tmp_path: Path) -> None:
     dies = rows[rows["method"] == "Dies"]
     assert dies["status"].item() == "error"
     assert dies["reason"].item() == "RuntimeError: in a sitting: RuntimeError: far from home"
+    late = rows[rows["method"] == "Late"]
+    assert (late["status"].item(), late["reason"].item()) == (
+        "timeout",
+        "in a sitting: far from home",
+    )
     good = rows[(rows["method"] == "Good") & (rows["metric"] == "sample-time-ratio")]
     assert good["status"].item() == "ok"
     assert good["ci_low"].item() < good["value"].item() < good["ci_high"].item()

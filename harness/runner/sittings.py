@@ -20,6 +20,7 @@ import torch
 from harness.measures import registry as measures
 from harness.measures.base import Measure, Outcome
 from harness.measures.pooled import pooled
+from harness.protocol import BudgetExceeded, Unsupported
 from harness.registry import oneline
 from harness.runner.jobs import Jobs
 from harness.store import Stored
@@ -27,6 +28,8 @@ from harness.suite.trials import Trial, stream_seed
 
 SITTINGS = "sittings"
 """Name of the setting."""
+_KNOWN = {kind.__name__: kind for kind in (Unsupported, BudgetExceeded, FloatingPointError)}
+"""Exceptions that give a trial a status of its own."""
 _APART = 1000
 """Between the seeds of two sittings, so that none repeats another's random numbers."""
 
@@ -53,7 +56,8 @@ def run(
     """One outcome for each of ``trials`` [T], pooled over the sittings.
 
     Raises:
-        RuntimeError: a sitting failed or ended without an answer.
+        Unsupported, BudgetExceeded, FloatingPointError: as the measure raised it in a sitting.
+        RuntimeError: a sitting failed otherwise, or ended without an answer.
     """
     needed = {trial.fit: jobs.stored[trial.fit] for trial in trials}
     total = count(measure, trials[0])
@@ -80,7 +84,8 @@ def _sitting(asked: _Asked, note: Callable[[str], None]) -> list[Outcome]:
             if kind == "done":
                 return said
             if kind == "failed":
-                raise RuntimeError(f"in a sitting: {said}")
+                name, message = said
+                raise _KNOWN.get(name, RuntimeError)(f"in a sitting: {message}")
             note(said)
     except EOFError:
         process.join()
@@ -109,4 +114,5 @@ def _sit(parent: Connection, asked: _Asked) -> None:
         ]
         parent.send(("done", measures.make(first.measure).run(jobs, note)))
     except BaseException as error:
-        parent.send(("failed", oneline(error)))
+        name = type(error).__name__
+        parent.send(("failed", (name, str(error) if name in _KNOWN else oneline(error))))
