@@ -19,15 +19,13 @@ from __future__ import annotations
 
 import ast
 import importlib
-import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from harness import mitsuba_xml
-from harness.materials import families, hard, measured, xml_bsdf
+from harness.materials import families, hard
+from harness.materials.kinds import KINDS, Kind, where_of
 from harness.materials.neural import files as neural
-from harness.microgeometry import btf_file
 from harness.protocol import InputError, Material, nearest
 from harness.source import covered, digest
 
@@ -109,201 +107,14 @@ def make(spec: Spec, base_dir: Path | str | None = None) -> Material:
     """The material; :class:`InputError` if the specification is refused."""
     what = identity(spec, base_dir)
     spec = _in_full(spec)
-    if _is(spec, "hard"):
-        return hard.MATERIALS[spec["name"]].make(spec["name"], what)
-    if _is(spec, "family"):
-        options = {"walks": spec["walks"]} if "walks" in spec else {}
-        family = families.FAMILIES[spec["family"]]
-        return family.make(spec["name"], spec.get("fix", {}), what, **options)
-    if _is(spec, "btf"):
-        from harness.materials.btf import BtfMaterial
-
-        return BtfMaterial(spec["name"], _path(spec, _base(base_dir)), what)
-    if _is(spec, "neural"):
-        return neural.make(spec["name"], _Neural.file(spec, _base(base_dir)), what)
+    name = _bare_name(spec)
+    if name is None:
+        return _kind(spec).make(spec, _base(base_dir), what)
     # Imported here, for it loads Mitsuba.
     from harness.materials.mitsuba_bsdf import MitsubaMaterial
 
-    name = _bare_name(spec)
-    if name is not None:
-        module = importlib.import_module(f"{PACKAGE}.{name.replace('-', '_')}")
-        return MitsubaMaterial(name, module.bsdf(), what)
-    assert isinstance(spec, Mapping)
-
-    def bsdf() -> Any:
-        return _kind(spec).bsdf(spec, _base(base_dir))
-
-    return MitsubaMaterial(spec["name"], bsdf(), what, bsdf)
-
-
-# --- the kinds -------------------------------------------------------------------------
-
-
-class _Measured:
-    """``{name, type: measured, file}``."""
-
-    def validate(self, spec: Mapping[str, Any], base: Path) -> None:
-        _only(spec, ("file",))
-        measured.check(_path(spec, base), _where(spec))
-
-    def identity(self, spec: Mapping[str, Any], base: Path) -> dict[str, Any]:
-        file = mitsuba_xml.file_hash(_path(spec, base), _where(spec))
-        return {"type": "measured", "sha256": file}
-
-    def bsdf(self, spec: Mapping[str, Any], base: Path) -> Any:
-        return measured.bsdf(_path(spec, base))
-
-
-class _Mitsuba:
-    """``{name, type: mitsuba, bsdf}`` or ``{name, type: mitsuba, file, id}``."""
-
-    def validate(self, spec: Mapping[str, Any], base: Path) -> None:
-        _only(spec, ("bsdf", "file", "id"))
-        if ("bsdf" in spec) == ("file" in spec):
-            raise InputError(f"{_where(spec)}: expected either 'bsdf' or 'file'")
-        if "file" in spec:
-            if not isinstance(spec.get("id", ""), str):
-                raise InputError(f"{_where(spec)}: id: expected a text, got {spec['id']!r}")
-            xml_bsdf.find(_path(spec, base), spec.get("id"), _where(spec))
-            return
-        if "id" in spec:
-            raise InputError(f"{_where(spec)}: 'id' goes with 'file', not with 'bsdf'")
-        if not isinstance(spec["bsdf"], Mapping):
-            raise InputError(f"{_where(spec)}: bsdf: expected a mapping, got {spec['bsdf']!r}")
-        self._walk(spec["bsdf"], f"{_where(spec)}: bsdf", base, lambda path, _: path)
-
-    def identity(self, spec: Mapping[str, Any], base: Path) -> dict[str, Any]:
-        if "file" in spec:
-            content = mitsuba_xml.content_hash(_path(spec, base), _where(spec))
-            return {"type": "mitsuba", "xml": content, "id": spec.get("id", "")}
-        where = f"{_where(spec)}: bsdf"
-        hashed = self._walk(spec["bsdf"], where, base, mitsuba_xml.file_hash)
-        return {"type": "mitsuba", "bsdf": hashed}
-
-    def bsdf(self, spec: Mapping[str, Any], base: Path) -> Any:
-        if "bsdf" in spec:
-            absolute = self._walk(spec["bsdf"], "", base, lambda path, _: str(path.resolve()))
-            return _mitsuba_values(absolute)
-        from harness.materials.mitsuba_bsdf import _mi
-
-        _mi()  # sets the variant
-        return xml_bsdf.load(_path(spec, base), spec.get("id"), _where(spec))
-
-    def _walk(self, node: Any, where: str, base: Path, on_file: Callable[[Path, str], Any]) -> Any:
-        """A copy of a dictionary of JSON data with ``on_file`` in place of each file name."""
-        if isinstance(node, Mapping):
-            if not isinstance(node.get("type"), str):
-                raise InputError(f"{where}: expected the key 'type' to name a Mitsuba plugin")
-            found = {}
-            for key, value in node.items():
-                if not isinstance(key, str):
-                    raise InputError(f"{where}: expected a text as key, got {key!r}")
-                here = f"{where}.{key}"
-                if key == "filename":
-                    if not isinstance(value, str) or not (base / value).is_file():
-                        raise InputError(f"{here}: no such file: {value}")
-                    found[key] = on_file(base / value, here)
-                else:
-                    found[key] = self._walk(value, here, base, on_file)
-            return found
-        if isinstance(node, list) and all(_is_number(item) for item in node):
-            return list(node)
-        if isinstance(node, (str, bool)) or _is_number(node):
-            return node
-        raise InputError(
-            f"{where}: expected a number, a text, true, false, a list of numbers or a mapping,"
-            f" got {node!r}"
-        )
-
-
-class _Btf:
-    """``{name, type: btf, file}``; :func:`make` makes it, for it is not Mitsuba's."""
-
-    def validate(self, spec: Mapping[str, Any], base: Path) -> None:
-        _only(spec, ("file",))
-        btf_file.check(_path(spec, base), _where(spec))
-
-    def identity(self, spec: Mapping[str, Any], base: Path) -> dict[str, Any]:
-        file = mitsuba_xml.file_hash(_path(spec, base), _where(spec))
-        return {"type": "btf", "sha256": file}
-
-
-class _Hard:
-    """``{name, type: hard}``; :func:`make` makes it, for not all are Mitsuba's."""
-
-    def validate(self, spec: Mapping[str, Any], base: Path) -> None:
-        _only(spec, ())
-        name = spec["name"]
-        if name not in hard.MATERIALS:
-            raise InputError(f"unknown hard material '{name}'{nearest(name, hard.MATERIALS)}")
-
-    def identity(self, spec: Mapping[str, Any], base: Path) -> dict[str, Any]:
-        name = spec["name"]
-        source = digest(covered(hard.MATERIALS[name].file, "harness.materials.hard"))
-        return {"type": "hard", "name": name, "source": source}
-
-
-class _Family:
-    """``{name, type: family, family, fix, walks}``: the free parameters become features."""
-
-    def validate(self, spec: Mapping[str, Any], base: Path) -> None:
-        _only(spec, ("family", "fix", "walks"))
-        family, known = spec.get("family"), families.FAMILIES
-        if family not in known:
-            hint = nearest(str(family), known)
-            raise InputError(f"{_where(spec)}: family: unknown family {family!r}{hint}")
-        fix = spec.get("fix", {})
-        if not isinstance(fix, Mapping):
-            raise InputError(f"{_where(spec)}: fix: expected a mapping, got {fix!r}")
-        known[family].check(fix, _where(spec))
-        if "walks" not in spec:
-            return
-        if not known[family].by_walks:
-            raise InputError(f"{_where(spec)}: walks: family '{family}' is in closed form")
-        walks = spec["walks"]
-        if not isinstance(walks, int) or isinstance(walks, bool) or walks < 1:
-            where = f"{_where(spec)}: walks"
-            raise InputError(f"{where}: expected a whole number from 1, got {walks!r}")
-
-    def identity(self, spec: Mapping[str, Any], base: Path) -> dict[str, Any]:
-        family = spec["family"]
-        source = digest(covered(families.FAMILIES[family].file, families.PACKAGE))
-        fix = {key: float(value) for key, value in spec.get("fix", {}).items()}
-        walks = {"walks": spec["walks"]} if "walks" in spec else {}
-        return {"type": "family", "family": family, "fix": fix, **walks, "source": source}
-
-
-class _Neural:
-    """``{name, type: neural, file}``; without a file, the shipped one of that name."""
-
-    def validate(self, spec: Mapping[str, Any], base: Path) -> None:
-        _only(spec, ("file",))
-        neural.check(self.file(spec, base), _where(spec))
-
-    def identity(self, spec: Mapping[str, Any], base: Path) -> dict[str, Any]:
-        return neural.identity(self.file(spec, base), _where(spec))
-
-    @staticmethod
-    def file(spec: Mapping[str, Any], base: Path) -> Path:
-        """The file that a specification means."""
-        if "file" in spec:
-            return _path(spec, base)
-        known = neural.shipped()
-        if spec["name"] not in known:
-            raise InputError(
-                f"unknown neural material '{spec['name']}'{nearest(spec['name'], known)}"
-            )
-        return known[spec["name"]]
-
-
-KINDS: dict[str, Any] = {
-    "mitsuba": _Mitsuba(),
-    "measured": _Measured(),
-    "btf": _Btf(),
-    "hard": _Hard(),
-    "family": _Family(),
-    "neural": _Neural(),
-}
+    module = importlib.import_module(f"{PACKAGE}.{name.replace('-', '_')}")
+    return MitsubaMaterial(name, module.bsdf(), what)
 
 
 # --- helpers ---------------------------------------------------------------------------
@@ -339,10 +150,6 @@ def _in_full(spec: Spec) -> Spec:
     return spec
 
 
-def _is(spec: Spec, kind: str) -> bool:
-    return isinstance(spec, Mapping) and spec.get("type") == kind
-
-
 def _bare_name(spec: Spec) -> str | None:
     """The name, if the specification is nothing else."""
     if isinstance(spec, str):
@@ -350,49 +157,15 @@ def _bare_name(spec: Spec) -> str | None:
     return spec["name"] if set(spec) == {"name"} else None
 
 
-def _kind(spec: Spec) -> Any:
+def _kind(spec: Spec) -> Kind:
     assert isinstance(spec, Mapping)
     kind = spec.get("type")
     if kind is None:
-        raise InputError(f"{_where(spec)}: expected the key 'type', one of {', '.join(KINDS)}")
+        raise InputError(f"{where_of(spec)}: expected the key 'type', one of {', '.join(KINDS)}")
     if not isinstance(kind, str) or kind not in KINDS:
-        raise InputError(f"{_where(spec)}: unknown type {kind!r}{nearest(str(kind), KINDS)}")
+        raise InputError(f"{where_of(spec)}: unknown type {kind!r}{nearest(str(kind), KINDS)}")
     return KINDS[kind]
-
-
-def _where(spec: Mapping[str, Any]) -> str:
-    return f"material '{spec['name']}'"
-
-
-def _only(spec: Mapping[str, Any], keys: tuple[str, ...]) -> None:
-    for key in spec:
-        if key not in ("name", "type", *keys):
-            hint = nearest(str(key), ("name", "type", *keys))
-            raise InputError(f"{_where(spec)}: unknown key '{key}'{hint}")
 
 
 def _base(base_dir: Path | str | None) -> Path:
     return Path(base_dir) if base_dir is not None else Path()
-
-
-def _path(spec: Mapping[str, Any], base: Path) -> Path:
-    value = spec.get("file")
-    if not isinstance(value, str) or not value:
-        raise InputError(f"{_where(spec)}: file: expected the name of a file, got {value!r}")
-    return base / value
-
-
-def _is_number(value: Any) -> bool:
-    number = isinstance(value, (int, float)) and not isinstance(value, bool)
-    return number and math.isfinite(value)
-
-
-def _mitsuba_values(node: Any) -> Any:
-    """A list of three numbers is a colour in a suite's dictionary."""
-    if isinstance(node, Mapping):
-        if node.get("type") in ("rgb", "srgb"):
-            return dict(node)
-        return {key: _mitsuba_values(value) for key, value in node.items()}
-    if isinstance(node, list):
-        return {"type": "rgb", "value": node}
-    return node
