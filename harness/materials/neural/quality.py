@@ -75,7 +75,7 @@ class Held:
         rows: int = 1 << 15,
         samples: int = 64,
         conditions: int = 256,
-        paths: int = 1 << 13,
+        paths: int = 1 << 15,
         side: int = 96,
         device: str = "cpu",
     ) -> Held:
