@@ -7,11 +7,11 @@ import hashlib
 import torch
 
 
-def generator(*seed: int | str) -> torch.Generator:
-    """A generator on the CPU for ``seed``: another for any other numbers or words, of any size.
+def generator(seed: int) -> torch.Generator:
+    """A generator on the CPU for ``seed``, of any size: another for any other.
 
     ``torch.Generator().manual_seed`` keeps the low 32 bits of what it is given and says nothing:
     ``1 << 40`` draws what ``0`` draws.
     """
-    digest = hashlib.sha256("/".join(map(str, seed)).encode()).digest()
+    digest = hashlib.sha256(str(seed).encode()).digest()
     return torch.Generator().manual_seed(int.from_bytes(digest[:4], "big"))

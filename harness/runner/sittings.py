@@ -104,14 +104,10 @@ def _sit(parent: Connection, asked: _Asked) -> None:
 
     try:
         first = asked.trials[0]
-        seed = first.seed + _APART * asked.number
-        stream = stream_seed(first.measure, seed)
-        torch.manual_seed(stream)
+        apart = _APART * asked.number
+        torch.manual_seed(stream_seed(first.measure, first.seed + apart))
         make = Jobs(asked.baseline, asked.results, asked.stored, note).make
-        jobs = [
-            replace(make(trial), seed=seed, generator=torch.Generator().manual_seed(stream))
-            for trial in asked.trials
-        ]
+        jobs = [make(replace(trial, seed=trial.seed + apart)) for trial in asked.trials]
         parent.send(("done", measures.make(first.measure).run(jobs, note)))
     except BaseException as error:
         name = type(error).__name__
