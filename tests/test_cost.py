@@ -339,6 +339,21 @@ print(peak_bytes(lambda: None, "cpu"))
     assert nothing < 0.1 * size
 
 
+def test_memory_that_was_used_before_counts_again():
+    """20 MB in pieces that a heap keeps after they are freed."""
+    code = """
+from harness.measures.memory import peak_bytes
+def work():
+    return [bytearray(20_000) for _ in range(1000)]
+pieces = work()
+pin = bytearray(20_000)  # what is above them: without it the heap would shrink by itself
+del pieces
+print(peak_bytes(work, "cpu"))
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert 0.9 * 20e6 < int(done.stdout) < 1.2 * 20e6
+
+
 def test_where_the_system_tells_no_peak(monkeypatch, tmp_path):
     from harness.measures import memory
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import math
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -13,12 +14,17 @@ from rich.console import Console
 from scipy import stats
 
 from harness import load_results, store
+from harness.measures import registry as measures
 from harness.measures.base import Outcome, Record
 from harness.measures.pooled import pooled
+from harness.rendering.variant import use
+from harness.runner import sittings
+from harness.runner.jobs import Jobs
 from harness.runner.run import Options, run
 from harness.stats import median_interval
 from harness.suite.load import load
 from harness.suite.plan import make_plan
+from harness.suite.trials import Trial
 from tests.test_stats_coverage import check
 
 
@@ -90,6 +96,60 @@ def test_coverage_where_processes_differ() -> None:
         alone += one.low <= 1 <= one.high
     check(held / trials, trials)
     assert alone / trials < 0.7
+
+
+def played(monkeypatch, ratios: Iterator[float], **settings) -> tuple[list[Outcome], list[dict]]:
+    """:func:`sittings.run` of one trial whose sittings find ``ratios``, and what each was asked."""
+    use("cpu")
+    asked = []
+
+    def one(question, note):
+        asked.append(question.trials[0].settings)
+        return [sitting(next(ratios))]
+
+    monkeypatch.setattr(sittings, "_sitting", one)
+    trial = Trial("h", {}, "s", "m", "a", "", "cost", 0, settings={"tolerance": 0.1, **settings})
+    jobs = Jobs("cosine", Path(), {"": None}, print)
+    return sittings.run(measures.make("cost"), [trial], jobs, lambda text: None), asked
+
+
+def test_sittings_go_on_while_an_interval_is_wide(monkeypatch) -> None:
+    def asked(ratios: list[float], **limits: int) -> int:
+        return len(played(monkeypatch, iter(ratios), **limits)[1])
+
+    wide, narrow = [1.0, 2.0] * 4, [2.0, 2.01] * 4
+    assert asked(narrow, sittings=2, max_sittings=5) == 2
+    assert asked(wide, sittings=2, max_sittings=5) == 5
+    assert asked(wide, sittings=3) == 3
+    assert asked([1.99, 2.2, *[2.0, 2.01] * 4], sittings=2, max_sittings=8) < 8
+
+
+def test_cold_starts_are_of_the_first_sitting(monkeypatch) -> None:
+    asked = played(monkeypatch, iter([2.0, 2.1]), sittings=2, starts=3)[1]
+    assert [settings["starts"] for settings in asked] == [3, 0]
+
+
+def test_what_the_first_sitting_alone_knows_is_kept() -> None:
+    first = sitting(2.0)
+    first.records.insert(0, Record("load-seconds", 1.0, 0.5, 1.5, "s"))
+    first.arrays["load_seconds"] = np.array([1.0, 1.2])
+    found = pooled([first, sitting(2.02)], tolerance=0.1)
+    assert found.records[0] == Record("load-seconds", 1.0, 0.5, 1.5, "s")
+    assert found.arrays["load_seconds"].tolist() == [1.0, 1.2]
+    assert found.arrays["sitting"][0, 0] == 1 and np.isnan(found.arrays["sitting"][1, 0])
+
+
+def test_coverage_where_wide_intervals_ask_for_more(monkeypatch) -> None:
+    """8 to 16 sittings that differ by 6 %: half of the runs go on beyond the eighth."""
+    rng, trials, held, longer = np.random.default_rng(3), 1000, 0, 0
+    for _ in range(trials):
+        ratios = iter(np.exp(0.06 * rng.standard_normal(16)).tolist())
+        found, asked = played(monkeypatch, ratios, sittings=8, max_sittings=16)
+        ratio = next(r for r in found[0].records if r.metric == "time-ratio")
+        held += ratio.ci_low <= 1 <= ratio.ci_high
+        longer += len(asked) > 8
+    check(held / trials, trials)
+    assert 0.3 < longer / trials < 0.7
 
 
 ADAPTER = '''

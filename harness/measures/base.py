@@ -106,6 +106,8 @@ class Measure(ABC):
     """Whether the trial's hash covers the machine; by default whether it is ``timed``."""
 
     Settings: ClassVar[type[Settings]] = Settings
+    later_sittings: ClassVar[dict[str, Any]] = {}
+    """Settings that all sittings but the first have instead: what need not be known so often."""
 
     @classmethod
     def on_machine(cls) -> bool:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -59,10 +60,12 @@ class Cost(Measure):
     timed = True
 
     class Settings(BatchSettings, RenderSettings):
-        """``starts`` cold starts; 0 leaves out load, compile and peak."""
+        """``starts`` cold starts, in the first sitting; 0 leaves out load, compile and peak."""
 
         rounds: int = 12
         starts: int = 3
+
+    later_sittings: ClassVar[dict[str, Any]] = {"starts": 0}
 
     def run(self, jobs: list[Job], notify: Callable[[str], None]) -> list[Outcome]:
         """See :class:`Measure`."""

@@ -25,11 +25,13 @@ class BatchSettings(RoundSettings):
     A call that takes less than ``least_seconds`` is repeated until it has taken that long, and its
     time is the mean: a clock reads milliseconds well, a machine does not keep quiet for them.
 
-    ``sittings`` is in how many processes, one after the other, all of it is done; the numbers
+    ``sittings`` is in how many processes, one after the other, all of it is done; up to
+    ``max_sittings`` (default: no more) while an interval is wider than ``tolerance``. The numbers
     are means over them, with intervals that say how one more would differ (``pooled.py``).
     """
 
     sittings: int = 1
+    max_sittings: int | None = None
     batch: int = 262_144
     rounds: int = 11
     max_seconds: float = 1.0

@@ -149,6 +149,26 @@ def energy(
     return mean.float(), variance.sqrt().float()
 
 
+def heights(
+    surface: Surface, u: Tensor, wi: Tensor, device: str = "cpu", lanes: int = LANES
+) -> Tensor:
+    """Heights [N] above the reference plane of what ``wi`` [N, 2] sees through ``u`` [N, 2] on it.
+
+    The plane's own, 0, where a ray along a groove ends nowhere (see ``tracing.CROSSINGS``).
+    """
+    tracer = surface.tracer(device)
+    mi = tracer.mi
+    parts = []
+    for first in range(0, len(u), lanes):
+        part = slice(first, first + lanes)
+        (x, y), (wi_x, wi_y) = (columns_of(w[part].to(device)) for w in (u, wi))
+        camera = _direction(mi, wi_x, wi_y)
+        seen = tracer.intersect(mi.Ray3f(tracer.start(x, y, camera), -camera), mi.Mask(True))
+        z = dr.select(seen.is_valid(), seen.p.z, 0)
+        parts.append(tensor_of(z, rows=len(u[part])).clone())
+    return torch.cat(parts)
+
+
 def _stream(mi: Any, query: Any, sample: Any, seed: int) -> Any:
     """A random stream of its own for each sample of each query, whatever the batch."""
     low, high = mi.sample_tea_32(query, dr.opaque(mi.UInt32, seed & 0xFFFFFFFF))

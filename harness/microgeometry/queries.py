@@ -150,6 +150,21 @@ def draw(
     return Queries(u, sigma, wi, wo, f)
 
 
+def rays(surface: Any, n: int, seed: int, device: str = "cpu") -> tuple[Tensor, Tensor, Tensor]:
+    """``n`` random rays to the camera, and where they leave the surface, all on ``device``.
+
+    Where they pass the reference plane, u [N, 2], uniform in the tile; the directions ``wi``
+    [N, 2], uniform on the disk; and the height [N] of the point that is seen, in widths of the
+    tile. For surfaces that have heights: measured ones have none.
+    """
+    random = torch.rand(n, 4, generator=generator(seed))
+    u, wi = random[:, :2], _inside(square_to_disk(random[:, 2:]))
+    u, wi = u.to(device).contiguous(), wi.to(device).contiguous()
+    with torch.inference_mode():
+        found = surface.heights(u, wi, device=device)
+    return u, wi, found.clone()
+
+
 def _range(surface: Any, kernel: float | tuple[float, float] | None) -> tuple[float, float]:
     if kernel is None:
         return 0.5 / surface.resolution, 0.5 / surface.resolution

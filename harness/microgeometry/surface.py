@@ -99,6 +99,12 @@ class Surface:
 
         return reflectance(self, *args, **options)
 
+    def heights(self, *args: Any, **options: Any) -> Any:
+        """Heights of what is seen; see :func:`harness.microgeometry.queries.rays`."""
+        from harness.microgeometry.estimate import heights
+
+        return heights(self, *args, **options)
+
     def energy(self, *args: Any, **options: Any) -> Any:
         """Path-traced energies; see :func:`harness.microgeometry.queries.energy`."""
         from harness.microgeometry.estimate import energy

@@ -19,24 +19,27 @@ import torch
 
 from harness.measures import registry as measures
 from harness.measures.base import Measure, Outcome
-from harness.measures.pooled import pooled
+from harness.measures.pooled import disturbed, pooled
 from harness.protocol import BudgetExceeded, Unsupported
 from harness.registry import oneline
 from harness.runner.jobs import Jobs
 from harness.store import Stored
 from harness.suite.trials import Trial, stream_seed
 
-SITTINGS = "sittings"
-"""Name of the setting."""
 _KNOWN = {kind.__name__: kind for kind in (Unsupported, BudgetExceeded, FloatingPointError)}
 """Exceptions that give a trial a status of its own."""
 _APART = 1000
 """Between the seeds of two sittings, so that none repeats another's random numbers."""
 
 
-def count(measure: Measure, trial: Trial) -> int:
-    """In how many processes ``trial`` is to be timed; 1 for a measure that knows no sittings."""
-    return getattr(measure.Settings(**trial.settings), SITTINGS, 1)
+def count(measure: Measure, trial: Trial) -> tuple[int, int]:
+    """In how many processes ``trial`` is to be timed, at least and at most.
+
+    1 and 1 for a measure that knows no sittings.
+    """
+    settings = measure.Settings(**trial.settings)
+    least = getattr(settings, "sittings", 1)
+    return least, max(least, getattr(settings, "max_sittings", None) or least)
 
 
 @dataclass(frozen=True)
@@ -60,16 +63,21 @@ def run(
         RuntimeError: a sitting failed otherwise, or ended without an answer.
     """
     needed = {trial.fit: jobs.stored[trial.fit] for trial in trials}
-    total = count(measure, trials[0])
-    found = [
-        _sitting(
-            _Asked(trials, jobs.baseline, jobs.results, needed, n),
-            lambda text, n=n: note(f"sitting {n + 1} of {total}: {text}"),
-        )
-        for n in range(total)
-    ]
+    least, most = count(measure, trials[0])
     tolerance = measure.Settings(**trials[0].settings).tolerance
-    return [pooled(outcomes, tolerance) for outcomes in zip(*found, strict=True)]
+    later = [replace(t, settings={**t.settings, **measure.later_sittings}) for t in trials]
+    found: list[list[Outcome]] = []
+    together: list[Outcome] = []
+    while len(found) < least or (len(found) < most and any(map(disturbed, together))):
+        number, total = len(found), least if len(found) < least else most
+        found.append(
+            _sitting(
+                _Asked(later if number else trials, jobs.baseline, jobs.results, needed, number),
+                lambda text, n=number + 1, of=total: note(f"sitting {n} of {of}: {text}"),
+            )
+        )
+        together = [pooled(outcomes, tolerance) for outcomes in zip(*found, strict=True)]
+    return together
 
 
 def _sitting(asked: _Asked, note: Callable[[str], None]) -> list[Outcome]:

@@ -131,7 +131,7 @@ class Worker:
 
     def _checked_run(self, measure: Any, jobs: list[Job]) -> list[Outcome]:
         first = jobs[0].trial
-        if sittings.count(measure, first) > 1:
+        if sittings.count(measure, first)[1] > 1:
             trials = [job.trial for job in jobs]
             outcomes = sittings.run(measure, trials, self.jobs, self.progress.note)
         else:

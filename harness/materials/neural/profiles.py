@@ -18,7 +18,9 @@ class Profile:
     step size, which falls to nothing. The step sizes are of the textures and of the networks;
     ``floor`` is the reflectance below which the loss counts errors absolutely. Those of the
     offset are a share ``offset_share`` of them: a depth is in widths of the tile, and steps of
-    5e-3 move lookups by whole texels before the textures hold anything.
+    5e-3 move lookups by whole texels before the textures hold anything. With ``offset_steps`` the
+    offset is first taught, in so many steps, where traced rays hit (``parallax.py``), where the
+    surface can tell; it then stands still in the first stage.
     """
 
     architecture: Architecture
@@ -31,6 +33,7 @@ class Profile:
     texture_rate: float = 2e-2
     network_rate: float = 3e-3
     offset_share: float = 1.0
+    offset_steps: int = 0
     final_share: float = 0.3
     blur: float = 1 / 64
     halvings: float = 9.0
@@ -53,13 +56,26 @@ _MINUTES = {
     "floor": 0.05,
 }
 
+_MORE = {**_MINUTES, "queries": 32 << 20, "steps": 6000, "final_steps": 1800}
+
 PROFILES = {
     # Two minutes of one core.
-    "quick": Profile(_SMALL, **_MINUTES),
+    "quick": Profile(_SMALL, **_MINUTES, offset_steps=3000),
     "quick-pyramid": Profile(_SMALL_PYRAMID, **_MINUTES),
-    # Three times the steps, four times the queries; what ships was made by it.
-    "long": Profile(
-        _SMALL, **{**_MINUTES, "queries": 32 << 20, "steps": 6000, "final_steps": 1800}
+    # Three times the steps, four times the queries, for surfaces that are nearly flat.
+    "long": Profile(_SMALL, **_MORE),
+    # For relief: an offset that knows it before anything else is learned, and quieter textures.
+    "relief": Profile(
+        _SMALL,
+        **{
+            **_MORE,
+            "queries": 48 << 20,
+            "steps": 7000,
+            "final_steps": 2100,
+            "texture_rate": 3e-2,
+            "offset_steps": 10000,
+            "offset_share": 0.02,
+        },
     ),
     # The papers' sizes: 300 queries a texel of 512^2, batches of a million. For a GPU.
     "full": Profile(NEUSAMPLE, 80 << 20, 64, 27000, 1 << 20, 3000, 1 << 20),

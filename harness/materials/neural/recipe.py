@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from harness import machine, microgeometry
-from harness.materials.neural import storage
+from harness.materials.neural import parallax, storage
 from harness.materials.neural.architecture import Architecture
 from harness.materials.neural.profiles import Profile
 from harness.materials.neural.profiles import profile as find_profile
@@ -20,6 +20,9 @@ from harness.materials.neural.training import Data, Training
 from harness.microgeometry import queries
 from harness.microgeometry.description import read
 from harness.protocol import InputError
+
+_RAYS = 4 << 40
+"""Between a training's seed and that of its rays."""
 
 Notify = Callable[[str, float], None]
 """``notify(what is being done, share of the whole)``."""
@@ -51,13 +54,23 @@ def train(
     surface = microgeometry.load(description)
     out.parent.mkdir(parents=True, exist_ok=True)
     under_way = out.with_suffix(".train")
-    training = Training(chosen, seed, device)
+    taught = bool(chosen.offset_steps and chosen.architecture.offset and parallax.known(surface))
+    training = Training(chosen, seed, device, taught)
     labels = {"surface": str(surface.identity()), "profile": str(chosen), "device": device}
     if resume:
         if not under_way.is_file():
             raise InputError(f"--resume: there is no {under_way} to go on from")
         training.load(under_way, labels)
     data, data_seconds = _data(surface, training, chosen, notify)
+    if taught and training.step == 0:
+        training.seconds += parallax.teach(
+            training.network.offset,
+            surface,
+            chosen.offset_steps,
+            seed + _RAYS,
+            device,
+            lambda share: notify("teaching the offset where rays hit", share),
+        )
 
     def step(done: int, loss: float) -> None:
         notify(f"training, loss {loss:.4f}", done / training.total)

@@ -58,10 +58,11 @@ class Training:
     """A network under way: ``run`` goes on from ``step``, ``save`` and ``load`` keep all state.
 
     Two trainings from one seed, interrupted or not, end with the same weights on one machine.
+    An offset that was ``taught`` (see ``parallax.py``) stands still while the textures are blurred.
     """
 
-    def __init__(self, profile: Profile, seed: int, device: str = "cpu"):
-        self.profile, self.seed, self.device = profile, seed, device
+    def __init__(self, profile: Profile, seed: int, device: str = "cpu", taught: bool = False):
+        self.profile, self.seed, self.device, self.taught = profile, seed, device, taught
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(seed)
             self.network = NeuralMBTF(profile.architecture).to(device)
@@ -76,14 +77,13 @@ class Training:
         self.seconds = 0.0
         self.history: list[float] = []
 
-    def _parts(self) -> dict[tuple[float, float], list[Tensor]]:
-        """Parameters by (rate, share of it)."""
+    def _parts(self) -> dict[tuple[float, bool], list[Tensor]]:
+        """Parameters by (rate, whether they are the offset's)."""
         p = self.profile
-        parts: dict[tuple[float, float], list[Tensor]] = {}
+        parts: dict[tuple[float, bool], list[Tensor]] = {}
         for name, parameter in self.network.named_parameters():
             rate = p.texture_rate if name.endswith("texture") else p.network_rate
-            share = p.offset_share if name.startswith("offset.") else 1.0
-            parts.setdefault((rate, share), []).append(parameter)
+            parts.setdefault((rate, name.startswith("offset.")), []).append(parameter)
         return parts
 
     @property
@@ -162,8 +162,12 @@ class Training:
         else:
             done = (self.step - p.steps) / max(1, p.final_steps)
             share = p.final_share * 0.5 * (1 + math.cos(math.pi * done))
-        for group, (rate, part) in zip(self.optimiser.param_groups, self._parts(), strict=True):
-            group["lr"] = rate * part * share
+        still = self.taught and self.step < p.steps
+        offset_share = 0.0 if still else p.offset_share
+        for group, (rate, of_offset) in zip(
+            self.optimiser.param_groups, self._parts(), strict=True
+        ):
+            group["lr"] = rate * share * (offset_share if of_offset else 1.0)
 
     # --- to go on later ------------------------------------------------------------------------
 
