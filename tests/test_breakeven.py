@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from harness.measures.base import Outcome
 from harness.report.breakeven import Costs, costs
 from harness.report.figures import Canvas
 from harness.report.figures.breakeven import breakeven as figure
@@ -98,6 +99,26 @@ def test_draws_are_the_same_every_time(results: Results) -> None:
     first, again = found(results), found(results)
     for label, line in first.lines.items():
         assert np.array_equal(line.slope, again.lines[label].slope)
+
+
+class HardlyKnown(Made):
+    """Two batches of ``two-lobe`` that do not know its variance."""
+
+    def _equal_spp(self, random, chi2, variance, seconds, material, method) -> Outcome:
+        outcome = super()._equal_spp(random, chi2, variance, seconds, material, method)
+        if method == "two-lobe":
+            outcome.arrays["batch_variance"] = np.array([1e-30, 1e30])
+        return outcome
+
+
+def test_a_variance_beyond_all_numbers_never_pays(tmp_path: Path) -> None:
+    """Some draws of it have an exponential that overflows."""
+    made = HardlyKnown(methods=LABELS, measures=("fit", "equal-spp", "equal-time"))
+    lines = found(Results.load(made.write(tmp_path))).lines
+    line = lines["two-lobe"]
+    assert np.isinf(line.slope).any() and not np.isnan(line.slope).any()
+    crossing = line.against(lines["improved-baseline"])
+    assert not math.isnan(crossing.low) and math.isinf(crossing.high)
 
 
 def test_a_method_without_a_time_has_a_reason(results: Results) -> None:
