@@ -10,16 +10,14 @@ plane is its BRDF, without cosine.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import drjit as dr
 import torch
 from torch import Tensor
 
 from harness.columns.bridge import columns_of, tensor_of
-
-if TYPE_CHECKING:
-    from harness.microgeometry.surface import Surface
+from harness.microgeometry.tracing import Tracer
 
 LIGHT = 0.01
 """Standard deviation, in radians about each axis, of the smoothed distant light."""
@@ -29,7 +27,7 @@ LANES = 1 << 20
 
 
 def reflectance(
-    surface: Surface,
+    tracer: Tracer,
     u: Tensor,
     kernel: Tensor,
     wi: Tensor,
@@ -42,7 +40,6 @@ def reflectance(
     lanes: int = LANES,
 ) -> Tensor:
     """See :func:`harness.microgeometry.queries.truth`, which checks the arguments."""
-    tracer = surface.tracer(device)
     n = len(u)
     result = u.new_empty(n, 3, dtype=torch.float32, device=device)
     wide = max(1, min(samples, lanes))
@@ -63,7 +60,7 @@ def reflectance(
 
 
 def _sum(
-    tracer: Any,
+    tracer: Tracer,
     columns: list[Any],
     first: int,
     rows: int,
@@ -98,7 +95,7 @@ def _sum(
 
 
 def energy(
-    surface: Surface,
+    tracer: Tracer,
     u: Tensor,
     kernel: Tensor,
     wi: Tensor,
@@ -117,7 +114,6 @@ def energy(
     that ``samples`` of them, 2 or more, know a highlight as well as a matt ground. Light is not
     smoothed, which moves the integral only where f changes within 0.01 radians of the horizon.
     """
-    tracer = surface.tracer(device)
     mi = tracer.mi
     n, wide = len(u), max(1, min(samples, lanes))
     rows = max(1, lanes // wide)
@@ -150,13 +146,12 @@ def energy(
 
 
 def heights(
-    surface: Surface, u: Tensor, wi: Tensor, device: str = "cpu", lanes: int = LANES
+    tracer: Tracer, u: Tensor, wi: Tensor, device: str = "cpu", lanes: int = LANES
 ) -> Tensor:
     """Heights [N] above the reference plane of what ``wi`` [N, 2] sees through ``u`` [N, 2] on it.
 
     The plane's own, 0, where a ray along a groove ends nowhere (see ``tracing.CROSSINGS``).
     """
-    tracer = surface.tracer(device)
     mi = tracer.mi
     parts = []
     for first in range(0, len(u), lanes):

@@ -7,18 +7,16 @@ that the surface has no end, whatever the angle.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import drjit as dr
 import numpy as np
 
 from harness.materials.mitsuba_bsdf import with_bitmaps
 from harness.materials.procedural import bitmap
+from harness.microgeometry.tile import Tile
 from harness.rendering.variant import use
 from harness.scenes.shapes import grid_faces
-
-if TYPE_CHECKING:
-    from harness.microgeometry.surface import Surface
 
 MARGIN = 4
 """The mesh goes on for 1 / MARGIN of a tile on each side."""
@@ -33,13 +31,13 @@ uniform on the disk has with a probability of 2e-7.
 
 
 class Tracer:
-    """A :class:`~harness.microgeometry.surface.Surface` as a Mitsuba scene.
+    """A :class:`~harness.microgeometry.tile.Tile` as a Mitsuba scene.
 
     Everything it offers works on Dr.Jit arrays of one variant, inside or outside of symbolic
     loops, in the frame of the tile: x = u, y = v, z = height, lengths in widths of the tile.
     """
 
-    def __init__(self, surface: Surface, device: str):
+    def __init__(self, surface: Tile, device: str):
         mi = self.mi = use(device)
         self.context = mi.BSDFContext()
         self.bsdf = mi.load_dict(with_bitmaps(mi, dict(surface.bsdf)))
@@ -68,7 +66,7 @@ class Tracer:
         node = {**bitmap(np.zeros((1, 1))), "array": np.ascontiguousarray(values, np.float32)}
         return mi.load_dict(with_bitmaps(mi, node))
 
-    def _mesh(self, surface: Surface, margin: int) -> Any:
+    def _mesh(self, surface: Tile, margin: int) -> Any:
         mi, rows = self.mi, surface.resolution
         index = np.arange(-margin, rows + margin)
         at = (index + 0.5) / rows

@@ -9,7 +9,8 @@ Elsewhere strata alone are better, for the number of drawn points in a cell is r
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable
+from typing import Any, Protocol
 
 import drjit as dr
 import torch
@@ -17,9 +18,6 @@ from torch import Tensor
 
 from harness.columns.bridge import Columns, columns_of, tensor_of
 from harness.materials.families.hashing import generator_at
-
-if TYPE_CHECKING:
-    from harness.materials.families.base import Family
 
 STRATA = 4
 """Strata per side of a cell, each with one point."""
@@ -32,7 +30,17 @@ LANES = 1 << 22
 """Points that are evaluated at once: 16 MB a column."""
 
 
-def slices(family: Family, condition: Tensor, resolution: int, seed: int) -> Tensor:
+class Sampled(Protocol):
+    """What is asked of a family, over columns: its evaluation and its own sampler."""
+
+    def evaluator(self, condition: Columns, seed: int) -> Callable[..., Columns]: ...
+
+    def native_sample_columns(self, condition: Columns, u: Columns) -> tuple[Any, Any, Any]: ...
+
+    def native_pdf_columns(self, condition: Columns, wo: Columns) -> Any: ...
+
+
+def slices(family: Sampled, condition: Tensor, resolution: int, seed: int) -> Tensor:
     r"""Mean of f over cells, rgb [N, R, R, 3], for ``condition`` [N, C].
 
     The R x R cells divide [-1, 1]^2; row = y, column = x, from -1 up. f is zero outside
@@ -72,7 +80,7 @@ def slices(family: Family, condition: Tensor, resolution: int, seed: int) -> Ten
     return (total * (0.25 * cells)).to(condition.dtype).view(n, resolution, resolution, 3)
 
 
-def _even(family: Family, c: Columns, place: Any, resolution: int, seed: int) -> Columns:
+def _even(family: Sampled, c: Columns, place: Any, resolution: int, seed: int) -> Columns:
     """One jittered point [x, y] in each stratum of each cell."""
     array, across = type(c[0]), resolution * STRATA
     rng = generator_at([array(place)], seed)
@@ -82,7 +90,7 @@ def _even(family: Family, c: Columns, place: Any, resolution: int, seed: int) ->
     ]
 
 
-def _drawn(family: Family, c: Columns, place: Any, resolution: int, seed: int) -> Columns:
+def _drawn(family: Sampled, c: Columns, place: Any, resolution: int, seed: int) -> Columns:
     """Points of the model's sampler from stratified uniforms; invalid ones stay off the disk."""
     array, cells = type(c[0]), resolution**2
     # Another stream than that of the strata.
