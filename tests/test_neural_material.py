@@ -20,7 +20,7 @@ from harness.protocol import InputError, square_to_disk
 SMALL = Architecture(resolution=16, offset_resolution=8, width=16, layers=2)
 PYRAMID = Architecture(
     resolution=16, channels=7, pyramid=True, offset_resolution=8, offset_channels=5,
-    width=12, layers=2, activation="relu", output="log1p", half_vector=True,
+    width=12, layers=2, activation="relu", output="log1p", half_vector=True, cosines=True,
 )  # fmt: skip
 
 

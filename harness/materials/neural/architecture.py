@@ -22,8 +22,9 @@ class Architecture:
     its own move the lookup (eqs. 4-7). Both networks have ``layers`` hidden layers of ``width``.
     ``output`` is how the decoder's numbers y are read: as reflectance (``linear``) or as
     log(1 + reflectance) (``log1p``, NeuMIP's compression). With ``half_vector`` the decoder also
-    sees the projection of the half vector of wi and wo, around which microfacet lobes lie; the
-    papers' do not.
+    sees the projection of the half vector of wi and wo, around which microfacet lobes lie; with
+    ``cosines`` it sees those of wi and wo, and the offset's network that of wi: projected on the
+    disk, all that happens at grazing angles lies within a hair of its rim. The papers' see neither.
     """
 
     resolution: int = 128
@@ -37,6 +38,7 @@ class Architecture:
     activation: str = "leaky_relu"
     output: str = "linear"
     half_vector: bool = False
+    cosines: bool = False
 
     def __post_init__(self) -> None:
         for field in fields(self):
@@ -62,7 +64,7 @@ class Architecture:
     @property
     def directions(self) -> int:
         """Inputs of the decoder that are not features."""
-        return 6 if self.half_vector else 4
+        return 4 + 2 * self.half_vector + 2 * self.cosines
 
     def as_dict(self) -> dict[str, Any]:
         """As JSON data; inverse of :meth:`of`."""

@@ -120,11 +120,10 @@ class NeuralMaterial(ColumnMaterial):
             assert offset_table is not None
             if counting.wanted():
                 counting.add("parallax", dr.width(uv[0]))
-            (depth,) = net.offset.network.columns([*offset_table.lookup(uv), *wi])
-            squared = 1 - wi[0] * wi[0] - wi[1] * wi[1]
-            # Off the disk there is no direction, nor a cosine; the bound is eq. 6's in any case.
-            cos = dr.sqrt(dr.maximum(squared, STEEPEST**2))
-            scale = depth / cos
+            cos = _cosine(wi)
+            seen = [*wi, cos] if net.architecture.cosines else wi
+            (depth,) = net.offset.network.columns([*offset_table.lookup(uv), *seen])
+            scale = depth / dr.maximum(cos, STEEPEST)
             uv = [dr.fma(scale, w, v) for w, v in zip(wi, uv, strict=True)]
         return table.lookup(uv, level if "prefiltering" in self.effects else None)
 
@@ -145,24 +144,29 @@ class NeuralMaterial(ColumnMaterial):
 
     def eval_columns(self, c: Columns, wo: Columns) -> Columns:
         """BSDF without cosine over columns: three of them."""
-        x, y = wo
-        half = self._half(c[-2:], wo) if self.network.architecture.half_vector else []
-        raw = self.network.decoder.columns([x, y, *c[-2:], *half, *c[:-2]])
+        a, (x, y), wi = self.network.architecture, wo, c[-2:]
+        cosines = [_cosine(wi), _cosine(wo)]
+        half = _half(wi, wo, *cosines) if a.half_vector else []
+        seen = [x, y, *wi, *half, *(cosines if a.cosines else [])]
+        raw = self.network.decoder.columns([*seen, *c[:-2]])
         inside = x * x + y * y < 1
-        if self.network.architecture.output == "log1p":
+        if a.output == "log1p":
             raw = [_expm1(v) for v in raw]
         # maximum(v, 0 v), for maximum(v, 0) would turn nan into 0.
         return [dr.select(inside, dr.maximum(v, 0 * v), 0) for v in raw]
 
-    @staticmethod
-    def _half(wi: Columns, wo: Columns) -> Columns:
-        """:func:`harness.materials.neural.network.half_vector` over columns."""
-        # Off the disk there is no direction; the result there is masked.
-        z = [dr.sqrt(dr.maximum(1 - v[0] * v[0] - v[1] * v[1], 0)) for v in (wi, wo)]
-        total, up = [a + b for a, b in zip(wi, wo, strict=True)], z[0] + z[1]
-        squared = total[0] * total[0] + total[1] * total[1] + up * up
-        scale = dr.rsqrt(dr.select(squared == 0, 1, squared))
-        return [v * scale for v in total]
+
+def _cosine(w: Columns) -> Float:
+    """Of a direction on the disk. Off it there is none; what is made of it there is masked."""
+    return dr.sqrt(dr.maximum(1 - w[0] * w[0] - w[1] * w[1], 0))
+
+
+def _half(wi: Columns, wo: Columns, cos_i: Float, cos_o: Float) -> Columns:
+    """:func:`harness.materials.neural.network.half_vector` over columns."""
+    total, up = [a + b for a, b in zip(wi, wo, strict=True)], cos_i + cos_o
+    squared = total[0] * total[0] + total[1] * total[1] + up * up
+    scale = dr.rsqrt(dr.select(squared == 0, 1, squared))
+    return [v * scale for v in total]
 
 
 def _expm1(v: Float) -> Float:

@@ -67,6 +67,8 @@ class NeuralMBTF(nn.Module):
         directions = [wo, wi]
         if self.architecture.half_vector:
             directions.append(half_vector(wi, wo))
+        if self.architecture.cosines:
+            directions += [cos_theta(wi)[:, None], cos_theta(wo)[:, None]]
         raw = self.decoder(torch.cat([*directions, features], -1))
         return torch.expm1(raw) if self.architecture.output == "log1p" else raw
 

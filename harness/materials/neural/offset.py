@@ -22,7 +22,10 @@ STEEPEST = 0.6
 
 
 class Offset(nn.Module):
-    """Texture [R^2, C] and network [features, wi.xy] -> depth in units of uv."""
+    """Texture [R^2, C] and network [features, wi.xy] -> depth in units of uv.
+
+    With ``cosines`` the network sees wi.z too.
+    """
 
     def __init__(self, architecture: Architecture):
         super().__init__()
@@ -30,14 +33,15 @@ class Offset(nn.Module):
         self.texture = nn.Parameter(0.1 * torch.randn(self.side**2, architecture.offset_channels))
         hidden = [architecture.width] * architecture.layers
         # Zero at the start: no shift, as for a flat surface.
-        self.network = MLP(
-            [architecture.offset_channels + 2, *hidden, 1], architecture.activation, zero_last=True
-        )
+        self.cosine = architecture.cosines
+        inputs = architecture.offset_channels + 2 + self.cosine
+        self.network = MLP([inputs, *hidden, 1], architecture.activation, zero_last=True)
 
     def depth(self, uv: Tensor, wi: Tensor, table: Tensor | None = None) -> Tensor:
         """Ray depth r [N], in units of uv; ``table`` stands in for the texture (blurred)."""
         features = textures.lookup(self.texture if table is None else table, self.side, uv)
-        return self.network(torch.cat([features, wi], 1))[:, 0]
+        seen = [features, wi, cos_theta(wi)[:, None]] if self.cosine else [features, wi]
+        return self.network(torch.cat(seen, 1))[:, 0]
 
     def forward(self, uv: Tensor, wi: Tensor, table: Tensor | None = None) -> Tensor:
         """The moved coordinates [N, 2]."""

@@ -40,43 +40,48 @@ class Profile:
     floor: float = 0.05
 
 
-_SMALL = replace(NEUSAMPLE, resolution=128, offset_resolution=128, half_vector=True)
+_SMALL = replace(NEUSAMPLE, resolution=128, offset_resolution=128, half_vector=True, cosines=True)
 _SMALL_PYRAMID = replace(NEUMIP, resolution=128, offset_resolution=128)
-_MINUTES = {
-    "queries": 8 << 20,
-    "samples": 4,
-    "steps": 2000,
-    "batch": 1 << 13,
-    "final_steps": 600,
-    "final_batch": 1 << 15,
-    "texture_rate": 5e-2,
-    "network_rate": 2e-2,
-    "offset_share": 0.3,
-    "halvings": 5.0,
-    "floor": 0.05,
-}
-
-_MORE = {**_MINUTES, "queries": 32 << 20, "steps": 6000, "final_steps": 1800}
+_MINUTES = Profile(
+    _SMALL,
+    queries=8 << 20,
+    samples=4,
+    steps=2000,
+    batch=1 << 13,
+    final_steps=600,
+    final_batch=1 << 15,
+    texture_rate=5e-2,
+    network_rate=2e-2,
+    offset_share=0.3,
+    halvings=5.0,
+    floor=0.05,
+)
+_RELIEF = replace(
+    _MINUTES,
+    queries=24 << 20,
+    steps=5000,
+    final_steps=1500,
+    texture_rate=3e-2,
+    offset_steps=4000,
+    offset_share=0.02,
+)
 
 PROFILES = {
     # Two minutes of one core.
-    "quick": Profile(_SMALL, **_MINUTES, offset_steps=3000),
-    "quick-pyramid": Profile(_SMALL_PYRAMID, **_MINUTES),
-    # Three times the steps, four times the queries, for surfaces that are nearly flat.
-    "long": Profile(_SMALL, **_MORE),
-    # For relief: an offset that knows it before anything else is learned, and quieter textures.
-    "relief": Profile(
-        _SMALL,
-        **{
-            **_MORE,
-            "queries": 48 << 20,
-            "steps": 7000,
-            "final_steps": 2100,
-            "texture_rate": 3e-2,
-            "offset_steps": 10000,
-            "offset_share": 0.02,
-        },
+    "quick": replace(_MINUTES, texture_rate=3e-2, offset_steps=3000, offset_share=0.02),
+    "quick-pyramid": replace(_MINUTES, architecture=_SMALL_PYRAMID),
+    # What ships was made by the next three. For surfaces that are nearly flat:
+    "long": replace(
+        _MINUTES,
+        architecture=replace(_SMALL, cosines=False),
+        queries=32 << 20,
+        steps=6000,
+        final_steps=1800,
     ),
+    # For relief: the offset knows it before anything else is learned.
+    "relief": _RELIEF,
+    # For what needs more of everything.
+    "deep": replace(_RELIEF, queries=40 << 20, steps=8000, final_steps=2400, offset_steps=8000),
     # The papers' sizes: 300 queries a texel of 512^2, batches of a million. For a GPU.
     "full": Profile(NEUSAMPLE, 80 << 20, 64, 27000, 1 << 20, 3000, 1 << 20),
     "full-pyramid": Profile(NEUMIP, 80 << 20, 64, 27000, 1 << 20, 3000, 1 << 20),
