@@ -20,7 +20,8 @@ class Profile:
     offset are a share ``offset_share`` of them: a depth is in widths of the tile, and steps of
     5e-3 move lookups by whole texels before the textures hold anything. With ``offset_steps`` the
     offset is first taught, in so many steps, where traced rays hit (``parallax.py``), where the
-    surface can tell; it then stands still in the first stage.
+    surface can tell; it then stands still in the first stage and has a share ``taught_share`` in
+    the second.
     """
 
     architecture: Architecture
@@ -34,6 +35,7 @@ class Profile:
     network_rate: float = 3e-3
     offset_share: float = 1.0
     offset_steps: int = 0
+    taught_share: float = 0.02
     final_share: float = 0.3
     blur: float = 1 / 64
     halvings: float = 9.0
@@ -63,12 +65,11 @@ _RELIEF = replace(
     final_steps=1500,
     texture_rate=3e-2,
     offset_steps=4000,
-    offset_share=0.02,
 )
 
 PROFILES = {
     # Two minutes of one core.
-    "quick": replace(_MINUTES, texture_rate=3e-2, offset_steps=3000, offset_share=0.02),
+    "quick": replace(_MINUTES, texture_rate=3e-2, offset_steps=3000),
     "quick-pyramid": replace(_MINUTES, architecture=_SMALL_PYRAMID),
     # What ships was made by the next three. For surfaces that are nearly flat:
     "long": replace(

@@ -162,8 +162,9 @@ class Training:
         else:
             done = (self.step - p.steps) / max(1, p.final_steps)
             share = p.final_share * 0.5 * (1 + math.cos(math.pi * done))
-        still = self.taught and self.step < p.steps
-        offset_share = 0.0 if still else p.offset_share
+        offset_share = p.offset_share
+        if self.taught:
+            offset_share = 0.0 if self.step < p.steps else p.taught_share
         for group, (rate, of_offset) in zip(
             self.optimiser.param_groups, self._parts(), strict=True
         ):
