@@ -68,6 +68,19 @@ def test_it_learns_and_says_how_well():
     assert found.energy_noise < 0.01
 
 
+def test_the_error_of_r2_is_how_it_differs_between_sets_of_queries():
+    training = Training(TINY, 0)
+    training.run(data(Wavy()), quiet)
+    found = [
+        quality.Held.draw(Wavy(), seed, 0.5 / 16, 500, 1, 2, 2, 2).measure(training.network)
+        for seed in range(60)
+    ]
+    spread = torch.tensor([one.r2 for one in found]).std()
+    error = torch.tensor([one.r2_error for one in found]).mean()
+    # The spread of sixty is known to 9 %.
+    assert 0.7 < spread / error < 1.4
+
+
 def test_the_offset_learns_parallax_and_a_network_without_it_does_not():
     surface = Wavy(deep=0.25)
     errors = []
@@ -176,6 +189,7 @@ def test_measuring_again_changes_the_record_alone(tmp_path, wavy):
     reflectance = storage.reflectance_hash(out)
     same = recipe.measure(out)
     assert same["quality"] == before["quality"] and same["measured"]
+    assert "quality_in_single_precision" in before and "quality_in_single_precision" not in same
     other = recipe.measure(out, seed=1)
     assert other == storage.record(out) and other["quality"]["r2"] != before["quality"]["r2"]
     assert {k for k in other if other[k] != before.get(k)} == {"quality", "measured"}

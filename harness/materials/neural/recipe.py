@@ -112,7 +112,7 @@ def measure(file: Path, seed: int = 0, device: str = "cpu") -> dict[str, Any]:
     """Measure the errors of a stored material again, by its record's microgeometry.
 
     The file keeps its tensors; ``quality`` in its record is replaced, and the record returned.
-    ``quality_in_single_precision`` stays what it was: those textures are not stored.
+    ``quality_in_single_precision`` goes: those textures are not stored, to be measured alike.
 
     Raises:
         InputError: no material of ours, or no description of its microgeometry is found.
@@ -127,6 +127,7 @@ def measure(file: Path, seed: int = 0, device: str = "cpu") -> dict[str, Any]:
         raise InputError(f"{file}: was trained on another '{record['name']}' than there is now")
     held = Held.draw(surface, seed, footprints(network), device=device)
     record["quality"] = held.measure(network).as_dict()
+    record.pop("quality_in_single_precision", None)
     record["measured"] = datetime.now(UTC).isoformat(timespec="seconds")
     storage.save(file, network.cpu(), record)
     return record

@@ -9,7 +9,7 @@ from rich.table import Table
 from harness.materials.neural import storage
 from harness.protocol import InputError
 
-COLUMNS = ("material", "form", "R² of log(1+f)", "energy off by", "within 5 %", "mean energy",
+COLUMNS = ("material", "form", "R² of log(1+f)", "±", "energy off by", "within 5 %", "mean energy",
            "truth's noise", "trace", "train", "steps", "seed", "kB")  # fmt: skip
 
 
@@ -43,6 +43,7 @@ def cells(file: Path) -> list[str]:
         str(record.get("name", file.stem)),
         form + (", offset" if shape.get("offset", True) else ""),
         number(quality, "r2", "{:.3f}"),
+        number(quality, "r2_error", "{:.3f}"),
         number(quality, "energy_error", "{:.1%}"),
         number(quality, "energy_within", "{:.0%}"),
         number(quality, "energy_bias", "{:+.1%}"),
