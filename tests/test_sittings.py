@@ -27,6 +27,8 @@ from harness.suite.plan import make_plan
 from harness.suite.trials import Trial
 from tests.test_stats_coverage import check
 
+TIMES = ("seconds-per-spp",)
+
 
 def sitting(ratio: float, seconds: float = 1.0, disturbed: float = 0.0) -> Outcome:
     return Outcome(
@@ -43,7 +45,7 @@ def sitting(ratio: float, seconds: float = 1.0, disturbed: float = 0.0) -> Outco
 
 def test_values_and_intervals() -> None:
     ratios = np.array([1.98, 2.0, 2.04])
-    found = pooled([sitting(r) for r in ratios], tolerance=0.1)
+    found = pooled([sitting(r) for r in ratios], tolerance=0.1, own_times=TIMES)
     by = {r.metric: r for r in found.records}
     assert by["batch"] == Record("batch", 64.0, unit="1")
     assert by["seconds-per-spp"].ci_low == 0.9  # the same in all: nothing to pool
@@ -60,9 +62,11 @@ def test_values_and_intervals() -> None:
 
 
 def test_disturbed_is_what_the_pooled_interval_says() -> None:
-    narrow = pooled([sitting(r, disturbed=1.0) for r in (1.99, 2.0, 2.01)], tolerance=0.1)
+    narrow = pooled(
+        [sitting(r, disturbed=1.0) for r in (1.99, 2.0, 2.01)], tolerance=0.1, own_times=TIMES
+    )
     assert narrow.records[-1] == Record("disturbed", 0.0, unit="1")
-    wide = pooled([sitting(r) for r in (1.8, 2.0, 2.2)], tolerance=0.1)
+    wide = pooled([sitting(r) for r in (1.8, 2.0, 2.2)], tolerance=0.1, own_times=TIMES)
     assert wide.records[-1] == Record("disturbed", 1.0, unit="1")
     assert wide.reason.startswith("disturbed: interval wider than 10% over 3 sittings: time-ratio")
 
@@ -73,15 +77,18 @@ def test_the_baseline_is_judged_by_its_times() -> None:
         one.records[2] = Record("time-ratio", 1.0, 1.0, 1.0, "1")
         return one
 
-    assert pooled([base(s) for s in (1.0, 1.01)], tolerance=0.2).records[-1].value == 0
-    found = pooled([base(s) for s in (1.0, 1.3)], tolerance=0.2)
+    assert (
+        pooled([base(s) for s in (1.0, 1.01)], tolerance=0.2, own_times=TIMES).records[-1].value
+        == 0
+    )
+    found = pooled([base(s) for s in (1.0, 1.3)], tolerance=0.2, own_times=TIMES)
     assert found.records[-1].value == 1
     assert "seconds-per-spp" in found.reason
 
 
 def test_a_failure_stands_for_all() -> None:
     failed = Outcome("nonfinite", "seconds is nan")
-    assert pooled([sitting(2.0), failed], tolerance=0.1) is failed
+    assert pooled([sitting(2.0), failed], tolerance=0.1, own_times=TIMES) is failed
 
 
 def test_coverage_where_processes_differ() -> None:
@@ -89,7 +96,9 @@ def test_coverage_where_processes_differ() -> None:
     rng, trials, held, alone = np.random.default_rng(2), 600, 0, 0
     for _ in range(trials):
         rounds = np.exp(0.02 * rng.standard_normal((5, 1)) + 0.01 * rng.standard_normal((5, 8)))
-        found = pooled([sitting(float(np.median(r))) for r in rounds], tolerance=0.1)
+        found = pooled(
+            [sitting(float(np.median(r))) for r in rounds], tolerance=0.1, own_times=TIMES
+        )
         ratio = next(r for r in found.records if r.metric == "time-ratio")
         held += ratio.ci_low <= 1 <= ratio.ci_high
         one = median_interval(rounds[0])
@@ -133,7 +142,7 @@ def test_what_the_first_sitting_alone_knows_is_kept() -> None:
     first = sitting(2.0)
     first.records.insert(0, Record("load-seconds", 1.0, 0.5, 1.5, "s"))
     first.arrays["load_seconds"] = np.array([1.0, 1.2])
-    found = pooled([first, sitting(2.02)], tolerance=0.1)
+    found = pooled([first, sitting(2.02)], tolerance=0.1, own_times=TIMES)
     assert found.records[0] == Record("load-seconds", 1.0, 0.5, 1.5, "s")
     assert found.arrays["load_seconds"].tolist() == [1.0, 1.2]
     assert found.arrays["sitting"][0, 0] == 1 and np.isnan(found.arrays["sitting"][1, 0])

@@ -108,6 +108,8 @@ class Measure(ABC):
     Settings: ClassVar[type[Settings]] = Settings
     later_sittings: ClassVar[dict[str, Any]] = {}
     """Settings that all sittings but the first have instead: what need not be known so often."""
+    own_times: ClassVar[tuple[str, ...]] = ()
+    """Metrics that say how well the baseline was timed, whose ratios are 1 by definition."""
 
     @classmethod
     def on_machine(cls) -> bool:

@@ -66,6 +66,11 @@ class Cost(Measure):
         starts: int = 3
 
     later_sittings: ClassVar[dict[str, Any]] = {"starts": 0}
+    own_times: ClassVar[tuple[str, ...]] = (
+        "seconds-per-million-samples",
+        "seconds-per-million-pdf",
+        "seconds-per-spp",
+    )
 
     def run(self, jobs: list[Job], notify: Callable[[str], None]) -> list[Outcome]:
         """See :class:`Measure`."""

@@ -13,7 +13,7 @@ _DISTURBED = "disturbed"
 _RATIO = "-ratio"
 
 
-def pooled(outcomes: Sequence[Outcome], tolerance: float) -> Outcome:
+def pooled(outcomes: Sequence[Outcome], tolerance: float, own_times: Sequence[str]) -> Outcome:
     """Their mean, with an interval that says how another process would differ.
 
     A record that was the same in all, or is in the first alone, stays as it is; others have the
@@ -21,7 +21,7 @@ def pooled(outcomes: Sequence[Outcome], tolerance: float) -> Outcome:
     they are not all positive). Arrays are joined one after another; ``sitting`` [sittings, records]
     has the values that were pooled, nan where a sitting has none.
     ``disturbed`` is 1 where an interval of a ratio to the baseline, or for the baseline of one of
-    its own times, is wider than ``tolerance``.
+    ``own_times``, is wider than ``tolerance``.
 
     An outcome that is not a success stands for all.
     """
@@ -35,7 +35,7 @@ def pooled(outcomes: Sequence[Outcome], tolerance: float) -> Outcome:
     values = np.array([[one.get(r.metric, np.nan) for r in first] for one in found])
     wide = [
         f"{r.metric} {(r.ci_high - r.ci_low) / r.value:.0%}"
-        for r in _decisive(records)
+        for r in _decisive(records, own_times)
         if not r.ci_high - r.ci_low <= tolerance * r.value
     ]
     reasons = [outcome.reason for outcome in outcomes if outcome.reason and not disturbed(outcome)]
@@ -63,13 +63,13 @@ def _joined(name: str, outcomes: Sequence[Outcome]) -> np.ndarray:
     return np.concatenate([np.atleast_1d(o.arrays[name]) for o in outcomes if name in o.arrays])
 
 
-def _decisive(records: Sequence[Record]) -> list[Record]:
+def _decisive(records: Sequence[Record], own_times: Sequence[str]) -> list[Record]:
     """Ratios to the baseline; the baseline, whose ratios are 1 by definition, has its times."""
     ratios = [r for r in records if r.metric.endswith(_RATIO)]
     compared = [r for r in ratios if r.ci_low < r.ci_high]
     if compared or not ratios:
         return compared
-    return [r for r in records if r.metric.startswith(("seconds-per-", "samples-per-", "pdf-q"))]
+    return [r for r in records if r.metric in own_times]
 
 
 def disturbed(outcome: Outcome) -> bool:

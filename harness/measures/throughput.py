@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import ClassVar
 
 import torch
 
@@ -55,6 +56,8 @@ class Throughput(Measure):
 
     class Settings(BatchSettings):
         """See :class:`BatchSettings`."""
+
+    own_times: ClassVar[tuple[str, ...]] = ("samples-per-second", "pdf-queries-per-second")
 
     def run(self, jobs: list[Job], notify: Callable[[str], None]) -> list[Outcome]:
         """See :class:`Measure`."""

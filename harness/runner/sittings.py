@@ -76,7 +76,9 @@ def run(
                 lambda text, n=number + 1, of=total: note(f"sitting {n} of {of}: {text}"),
             )
         )
-        together = [pooled(outcomes, tolerance) for outcomes in zip(*found, strict=True)]
+        together = [
+            pooled(outcomes, tolerance, measure.own_times) for outcomes in zip(*found, strict=True)
+        ]
     return together
 
 
