@@ -245,6 +245,7 @@ def test_cost():
         units = {r.metric: r.unit for r in outcome.records}
         assert units["rays"] == "1/spp" and units["sampling-seconds-per-spp"] == "s"
         assert not {"load-seconds", "compile-seconds", "peak-bytes"} & set(found)
+        assert set(measures.make("cost").own_times) <= set(found)
         assert bool(found["disturbed"]) == outcome.reason.startswith("disturbed")
     for metric in ("sample-time-ratio", "pdf-time-ratio", "time-ratio"):
         assert values(base)[metric] == 1

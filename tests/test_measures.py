@@ -499,6 +499,7 @@ def test_throughput():
     for outcome in (good, slow):
         found = values(outcome)
         rates = {"samples-per-second", "pdf-queries-per-second"}
+        assert set(measures.make("throughput").own_times) == rates
         rest = {"batch", "sample-time-ratio", "pdf-time-ratio", "disturbed"}
         assert set(found) == rates | rest
         assert all(r.unit == ("1/s" if r.metric in rates else "1") for r in outcome.records)
