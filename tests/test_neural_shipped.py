@@ -27,14 +27,14 @@ def test_a_shipped_material(name):
     record = storage.record(file)
     assert record["name"] == name and registry.describe(name) == record["about"] != ""
     assert record["steps"] > 0 and record["train_seconds"] > 0
-    quality = record["quality"]
-    single = record.get("quality_in_single_precision", quality)  # gone if it was measured again
+    quality, single = record["quality"], record["quality_in_single_precision"]
+    trained = record.get("quality_when_trained", quality)
     # 0.9 is wanted, 0.8 in the deepest relief, the quilt's. Two others have 0.81 and 0.82 only.
     assert quality["r2"] >= (0.8 if name in ("tufted-quilt", *SHORT) else 0.9)
     # 0.95 is wanted; docs/neural-materials.md says where the rest is.
     assert quality["energy_within"] >= 0.6
     assert quality["energy_noise"] < 0.015
-    assert abs(quality["r2"] - single["r2"]) < 0.005
+    assert abs(trained["r2"] - single["r2"]) < 0.005
     assert abs(quality["energy_bias"]) < 0.05
     material = registry.make(name)
     g = torch.Generator().manual_seed(0)

@@ -78,7 +78,7 @@ class Held:
         samples: int = 64,
         conditions: int = 256,
         paths: int = 1 << 15,
-        side: int = 96,
+        side: int = 160,
         device: str = "cpu",
     ) -> Held:
         """``rows`` queries of ``samples`` paths; ``conditions`` of ``paths`` and side^2 lights."""

@@ -112,7 +112,8 @@ def measure(file: Path, seed: int = 0, device: str = "cpu") -> dict[str, Any]:
     """Measure the errors of a stored material again, by its record's microgeometry.
 
     The file keeps its tensors; ``quality`` in its record is replaced, and the record returned.
-    ``quality_in_single_precision`` goes: those textures are not stored, to be measured alike.
+    What it was is kept once as ``quality_when_trained``, to compare with
+    ``quality_in_single_precision``, whose textures are not stored to be measured alike.
 
     Raises:
         InputError: no material of ours, or no description of its microgeometry is found.
@@ -126,8 +127,8 @@ def measure(file: Path, seed: int = 0, device: str = "cpu") -> dict[str, Any]:
     if {**now, "source": ""} != {**then, "source": ""}:
         raise InputError(f"{file}: was trained on another '{record['name']}' than there is now")
     held = Held.draw(surface, seed, footprints(network), device=device)
+    record.setdefault("quality_when_trained", record.get("quality"))
     record["quality"] = held.measure(network).as_dict()
-    record.pop("quality_in_single_precision", None)
     record["measured"] = datetime.now(UTC).isoformat(timespec="seconds")
     storage.save(file, network.cpu(), record)
     return record
