@@ -13,7 +13,6 @@ from harness.measures.levels import surface_of
 from harness.protocol import InputError, square_to_disk
 
 NAMES = registry.neural_names()
-SHORT = ("leather", "wrinkled-hide")
 
 
 def test_every_description_is_trained():
@@ -29,10 +28,10 @@ def test_a_shipped_material(name):
     assert record["steps"] > 0 and record["train_seconds"] > 0
     quality, single = record["quality"], record["quality_in_single_precision"]
     trained = record.get("quality_when_trained", quality)
-    # 0.9 is wanted, 0.8 in the deepest relief, the quilt's. Two others have 0.81 and 0.82 only.
-    assert quality["r2"] >= (0.8 if name in ("tufted-quilt", *SHORT) else 0.9)
+    # 0.9 is wanted of all; leather has 0.87.
+    assert quality["r2"] >= (0.85 if name == "leather" else 0.9)
     # 0.95 is wanted; docs/neural-materials.md says where the rest is.
-    assert quality["energy_within"] >= 0.6
+    assert quality["energy_within"] >= 0.7
     assert quality["energy_noise"] < 0.015
     assert abs(trained["r2"] - single["r2"]) < 0.005
     assert abs(quality["energy_bias"]) < 0.05
