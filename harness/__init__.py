@@ -9,9 +9,12 @@ import os
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from harness import allocator
+
 # OpenMP threads that spin while they wait starve Dr.Jit's own threads. The variable is read
 # once, when torch is imported, so it has to be set before that.
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
+allocator.keep()
 
 if TYPE_CHECKING:
     from harness.protocol import Budget, DiskSample, FitReport, Material, Method

@@ -280,6 +280,17 @@ def test_cost_of_what_cannot_end():
     assert base.status == "ok" and slow.status == "timeout" and "needs about" in slow.reason
 
 
+def test_cost_of_given_sizes():
+    """What a later sitting is asked: the sizes of the first, and no cold starts."""
+    material, measure = Plaster(), measures.make("cost")
+    settings = {**QUICK, "starts": 0, "rows": 80, "spp": 5}
+    asked = job("cost", fitted(Correct(), material), material, settings=settings, baseline=True)
+    (found,) = measure.run([asked], lambda text: None)
+    assert values(found)["batch"] == 80 and found.arrays["round_spp"] == 5
+    assert measure.later_sittings(found) == {"rows": 80, "spp": 5, "starts": 0}
+    assert measure.later_sittings(Outcome("timeout", "slow")) == {"starts": 0}
+
+
 def test_cost_is_bound_to_the_machine():
     measure = measures.load("cost")
     assert measure.timed and measure.on_machine() and measure.needs_scene

@@ -513,6 +513,14 @@ def test_throughput():
     assert values(slow)["samples-per-second"] < values(good)["samples-per-second"]
 
 
+def test_throughput_of_exactly_so_many_rows() -> None:
+    given = {"batch": 4096, "rows": 48, "rounds": 2, "max_rounds": 2, "least_seconds": 0.0}
+    asked = job("throughput", Correct(), Plaster(), baseline=True, **given)
+    (found,) = measures.make("throughput").run([asked], lambda text: None)
+    assert values(found)["batch"] == 48
+    assert measures.make("throughput").later_sittings(found) == {"rows": 48}
+
+
 def test_uneven_is_a_correct_sampler():
     """What these tests lean on."""
     u = torch.rand(100_000, 3, generator=torch.Generator().manual_seed(0))

@@ -138,6 +138,12 @@ def test_cold_starts_are_of_the_first_sitting(monkeypatch) -> None:
     assert [settings["starts"] for settings in asked] == [3, 0]
 
 
+def test_later_sittings_have_the_sizes_of_the_first(monkeypatch) -> None:
+    """The clock chose them once: a batch of another size takes another time for each row."""
+    asked = played(monkeypatch, iter([2.0, 2.1, 2.0]), sittings=3)[1]
+    assert [(s.get("rows"), s.get("spp")) for s in asked] == [(None, None), (64, 3), (64, 3)]
+
+
 def test_what_the_first_sitting_alone_knows_is_kept() -> None:
     first = sitting(2.0)
     first.records.insert(0, Record("load-seconds", 1.0, 0.5, 1.5, "s"))

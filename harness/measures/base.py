@@ -106,8 +106,6 @@ class Measure(ABC):
     """Whether the trial's hash covers the machine; by default whether it is ``timed``."""
 
     Settings: ClassVar[type[Settings]] = Settings
-    later_sittings: ClassVar[dict[str, Any]] = {}
-    """Settings that all sittings but the first have instead: what need not be known so often."""
     own_times: ClassVar[tuple[str, ...]] = ()
     """Metrics that say how well the baseline was timed, whose ratios are 1 by definition."""
 
@@ -115,6 +113,15 @@ class Measure(ABC):
     def on_machine(cls) -> bool:
         """Whether this measure's numbers belong to the machine they were taken on."""
         return cls.timed if cls.machine_bound is None else cls.machine_bound
+
+    @classmethod
+    def later_sittings(cls, first: Outcome) -> dict[str, Any]:
+        """Settings that a job's later sittings have instead, after what its ``first`` found.
+
+        Sizes that were chosen by the clock are to be the same in all, and what need not be
+        known so often is left out. By default none.
+        """
+        return {}
 
     @abstractmethod
     def run(self, jobs: list[Job], notify: Callable[[str], None]) -> list[Outcome]:

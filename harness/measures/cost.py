@@ -14,7 +14,7 @@ from harness.measures.cold import Cold, start_cold
 from harness.measures.guard import state_of
 from harness.measures.images import checked, too_slow
 from harness.measures.renders import Entrant, RenderSettings, enter
-from harness.measures.throughput import Batch, BatchSettings, prepare_batch
+from harness.measures.throughput import Batch, BatchSettings, prepare_batch, rows_of
 from harness.measures.timing import Contender, Timings, interleave
 from harness.protocol import BudgetExceeded
 from harness.rendering.meter import PARTS, Meter, metered
@@ -65,19 +65,25 @@ class Cost(Measure):
         rounds: int = 12
         starts: int = 3
 
-    later_sittings: ClassVar[dict[str, Any]] = {"starts": 0}
     own_times: ClassVar[tuple[str, ...]] = (
         "seconds-per-million-samples",
         "seconds-per-million-pdf",
         "seconds-per-spp",
     )
 
+    @classmethod
+    def later_sittings(cls, first: Outcome) -> dict[str, Any]:
+        """See :class:`Measure`."""
+        spp = first.arrays.get("round_spp")
+        sizes = rows_of(first) | ({} if spp is None else {"spp": int(spp)})
+        return sizes | {"starts": 0}
+
     def run(self, jobs: list[Job], notify: Callable[[str], None]) -> list[Outcome]:
         """See :class:`Measure`."""
         settings = self.Settings(**jobs[0].settings)
         # Batches first: they are small for a slow method, and have it compiled when its speed
         # is read off.
-        batches = [prepare_batch(job, settings, notify) for job in jobs]
+        batches = [prepare_batch(job, self.Settings(**job.settings), notify) for job in jobs]
         slow = [
             too_slow(j, settings.resolution, 4 * settings.rounds, settings.patience) for j in jobs
         ]
@@ -100,7 +106,8 @@ class Cost(Measure):
             raise BudgetExceeded("the baseline is too slow for its rounds")
         subjects, contenders = [], []
         for i, (job, batch) in enumerate(ready):
-            subject = _Subject(job, batch, enter(job, settings, notify))
+            own = self.Settings(**job.settings)
+            subject = _Subject(job, batch, enter(job, own, notify))
             subjects.append(subject)
             contenders += subject.contenders(_EACH * i, None if i == base else _EACH * base)
         timings = interleave(contenders, settings, notify)

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import ctypes
 from collections.abc import Callable
 from pathlib import Path
 
 import drjit as dr
 import torch
 
+from harness import allocator
 from harness.protocol import Unsupported
 
 _STATUS, _RESET = Path("/proc/self/status"), Path("/proc/self/clear_refs")
@@ -31,9 +31,7 @@ def peak_bytes(work: Callable[[], object], device: str) -> int:
 def _give_back() -> None:
     """What is free in this process, to the system: to use it again counts as much as new memory."""
     dr.flush_malloc_cache()
-    trim = getattr(ctypes.CDLL(None), "malloc_trim", None)  # glibc's
-    if trim is not None:
-        trim(0)
+    allocator.give_back()
 
 
 def _on_cpu(work: Callable[[], object]) -> int:

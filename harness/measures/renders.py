@@ -12,12 +12,13 @@ from harness.rendering.prepared import Prepared, prepare
 
 
 class RenderSettings(RoundSettings):
-    """``slice_seconds`` of rendering per method and round.
+    """``slice_seconds`` of rendering per method and round, or exactly ``spp`` samples per pixel.
 
     A method that would need more than ``patience`` seconds for its rounds is not begun.
     """
 
     slice_seconds: float = 0.2
+    spp: int | None = None
     resolution: int = 96
     patience: float = 3600.0
 
@@ -57,6 +58,10 @@ def enter(job: Job, settings: RenderSettings, notify: Callable[[str], None]) -> 
         spent += rendered.seconds
         return rendered.seconds
 
+    if settings.spp is not None:
+        entrant.spp = settings.spp
+        settle(once, settings)
+        return entrant
     while True:
         seconds = settle(once, settings, spent=spent)
         wanted = int(settings.slice_seconds / (seconds / entrant.spp))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import torch
 
@@ -21,7 +21,8 @@ from harness.measures.timing import (
 
 
 class BatchSettings(RoundSettings):
-    """``batch`` rows, as a renderer's wavefront has them, or as many as ``max_seconds`` allow.
+    """``batch`` rows, as a renderer's wavefront has them, or as many as ``max_seconds`` allow;
+    ``rows``, where given, are exactly so many instead.
 
     A call that takes less than ``least_seconds`` is repeated until it has taken that long, and its
     time is the mean: a clock reads milliseconds well, a machine does not keep quiet for them.
@@ -34,6 +35,7 @@ class BatchSettings(RoundSettings):
     sittings: int = 1
     max_sittings: int | None = None
     batch: int = 262_144
+    rows: int | None = None
     rounds: int = 11
     max_seconds: float = 1.0
     least_seconds: float = 0.05
@@ -59,10 +61,15 @@ class Throughput(Measure):
 
     own_times: ClassVar[tuple[str, ...]] = ("samples-per-second", "pdf-queries-per-second")
 
+    @classmethod
+    def later_sittings(cls, first: Outcome) -> dict[str, Any]:
+        """See :class:`Measure`."""
+        return rows_of(first)
+
     def run(self, jobs: list[Job], notify: Callable[[str], None]) -> list[Outcome]:
         """See :class:`Measure`."""
         settings = self.Settings(**jobs[0].settings)
-        batches = [prepare_batch(job, settings, notify) for job in jobs]
+        batches = [prepare_batch(job, self.Settings(**job.settings), notify) for job in jobs]
         base = next((2 * j for j, job in enumerate(jobs) if job.baseline), None)
         contenders = [
             entry
@@ -116,15 +123,21 @@ class Batch:
         ]
 
 
+def rows_of(outcome: Outcome) -> dict[str, Any]:
+    """Settings with which a call has as many rows as it had in ``outcome``."""
+    rows = [int(r.value) for r in outcome.records if r.metric == "batch"]
+    return {"rows": rows[0]} if rows else {}
+
+
 def prepare_batch(job: Job, settings: BatchSettings, notify: Callable[[str], None]) -> Batch:
     """Warm ``sample`` and ``pdf`` up, on as many rows as the settings allow."""
     notify(f"{job.method.name}: warm-up")
-    device, rows = job.budget.device, 1
+    device, rows = job.budget.device, settings.rows or 1
     while True:
         sample, pdf = _calls(job, rows)
         seconds = settle(lambda call=sample: seconds_of(call, device), settings)
         fits = settings.max_seconds / seconds * rows
-        if rows == settings.batch or fits < 2 * rows:
+        if rows in (settings.rows, settings.batch) or fits < 2 * rows:
             break
         rows = int(min(settings.batch, fits, 64 * rows))
     once = {sample: seconds, pdf: settle(lambda: seconds_of(pdf, device), settings)}

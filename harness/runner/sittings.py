@@ -65,17 +65,22 @@ def run(
     needed = {trial.fit: jobs.stored[trial.fit] for trial in trials}
     least, most = count(measure, trials[0])
     tolerance = measure.Settings(**trials[0].settings).tolerance
-    later = [replace(t, settings={**t.settings, **measure.later_sittings}) for t in trials]
+    asked = trials
     found: list[list[Outcome]] = []
     together: list[Outcome] = []
     while len(found) < least or (len(found) < most and any(map(disturbed, together))):
         number, total = len(found), least if len(found) < least else most
         found.append(
             _sitting(
-                _Asked(later if number else trials, jobs.baseline, jobs.results, needed, number),
+                _Asked(asked, jobs.baseline, jobs.results, needed, number),
                 lambda text, n=number + 1, of=total: note(f"sitting {n} of {of}: {text}"),
             )
         )
+        if number == 0:
+            asked = [
+                replace(t, settings={**t.settings, **measure.later_sittings(first)})
+                for t, first in zip(trials, found[0], strict=True)
+            ]
         together = [
             pooled(outcomes, tolerance, measure.own_times) for outcomes in zip(*found, strict=True)
         ]

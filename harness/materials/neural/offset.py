@@ -32,9 +32,9 @@ class Offset(nn.Module):
         self.side = architecture.offset_resolution
         self.texture = nn.Parameter(0.1 * torch.randn(self.side**2, architecture.offset_channels))
         hidden = [architecture.width] * architecture.layers
-        # Zero at the start: no shift, as for a flat surface.
         self.cosine = architecture.cosines
         inputs = architecture.offset_channels + 2 + self.cosine
+        # Zero at the start: no shift, as for a flat surface.
         self.network = MLP([inputs, *hidden, 1], architecture.activation, zero_last=True)
 
     def depth(self, uv: Tensor, wi: Tensor, table: Tensor | None = None) -> Tensor:

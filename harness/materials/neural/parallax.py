@@ -12,11 +12,11 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-import torch
 from torch import Tensor
 
 from harness.materials.neural import textures
 from harness.materials.neural.offset import Offset, shift
+from harness.materials.neural.optimiser import adam
 from harness.microgeometry import queries
 from harness.protocol import cos_theta
 
@@ -25,8 +25,8 @@ RAYS = 1 << 24
 _BATCH = 1 << 12
 _RATES = (2e-2, 5e-3)
 """Of the texture and of the network at first; they fall to nothing along a cosine."""
-_BLUR, _HALVINGS, _LEAST = 1 / 32, 6.0, 0.15
-"""The texture's blur, a share of its width, and how often it is halved; least in texels."""
+_BLUR, _HALVINGS = 1 / 32, 6.0
+"""The texture's blur, a share of its width, and how often it is halved."""
 
 
 def known(surface: Any) -> bool:
@@ -51,20 +51,15 @@ def teach(
     start = time.perf_counter()
     rays = min(rays, steps * _BATCH)
     u, wi, height = queries.rays(surface, rays, seed, device)
-    groups = [[offset.texture], list(offset.network.parameters())]
-    optimiser = torch.optim.Adam(
-        [{"params": group} for group in groups], betas=(0.9, 0.99), eps=1e-15, fused=True
-    )
+    optimiser = adam([[offset.texture], offset.network.parameters()])
     for step in range(steps):
         share = min(1.0, 50 * (step + 1) / steps) * 0.5 * (1 + math.cos(math.pi * step / steps))
         for group, rate in zip(optimiser.param_groups, _RATES, strict=True):
             group["lr"] = rate * share
         first = step * _BATCH % (rays - _BATCH + 1)
         part = slice(first, first + _BATCH)
-        sigma = _BLUR * offset.side * 2 ** (-_HALVINGS * step / steps)
-        table = None
-        if sigma > _LEAST:
-            table = textures.blur(offset.texture, offset.side, sigma)
+        sigma = textures.decayed(_BLUR * offset.side, _HALVINGS, step / steps)
+        table = textures.blur(offset.texture, offset.side, sigma)
         optimiser.zero_grad(set_to_none=True)
         error = misses(offset, u[part], wi[part], height[part], table).norm(dim=1)
         (error.square() / (1 + error.detach().square()).sqrt()).mean().backward()

@@ -12,6 +12,9 @@ import math
 import torch
 from torch import Tensor, nn
 
+LEAST_BLUR = 0.15
+"""In texels; a neighbour's weight is then 2e-10, and nothing is left of a blur."""
+
 
 def sides(resolution: int, levels: int) -> list[int]:
     """Texels a side of every level."""
@@ -82,6 +85,15 @@ def level_of(kernel: Tensor, resolution: int) -> Tensor:
 def kernel_of(level: float, resolution: int) -> float:
     """Inverse of :func:`level_of` for one number."""
     return 2.0**level / (2 * resolution)
+
+
+def decayed(sigma: float, halvings: float, share: float) -> float:
+    """Deviation of a blur after ``share`` of its time, ``sigma`` at first; 0 below the least.
+
+    Deviations are in texels; the whole time halves them ``halvings`` times.
+    """
+    now = sigma * 2 ** (-halvings * share)
+    return now if now > LEAST_BLUR else 0.0
 
 
 def blur(table: Tensor, side: int, sigma: float) -> Tensor:

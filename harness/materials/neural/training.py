@@ -22,12 +22,9 @@ from torch import Tensor
 
 from harness.materials.neural import textures
 from harness.materials.neural.network import NeuralMBTF
+from harness.materials.neural.optimiser import adam
 from harness.materials.neural.profiles import Profile
 from harness.protocol import InputError
-
-_LEAST_BLUR = 0.15
-"""In texels; a neighbour's weight is then 2e-10, and nothing is left of a blur."""
-
 
 _CACHED = 1 << 13
 """Rows whose activations stay in a processor's cache; four times as many take ten times as long."""
@@ -66,12 +63,7 @@ class Training:
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(seed)
             self.network = NeuralMBTF(profile.architecture).to(device)
-        self.optimiser = torch.optim.Adam(
-            [{"params": part} for part in self._parts().values()],
-            betas=(0.9, 0.99),
-            eps=1e-15,
-            fused=True,
-        )
+        self.optimiser = adam(self._parts().values())
         self.generator = torch.Generator().manual_seed(seed)
         self.step = 0
         self.seconds = 0.0
@@ -97,8 +89,8 @@ class Training:
         p = self.profile
         if self.step >= p.steps:
             return 0.0
-        sigma = p.blur * p.architecture.resolution * 2 ** (-p.halvings * self.step / p.steps)
-        return sigma if sigma > _LEAST_BLUR else 0.0
+        first = p.blur * p.architecture.resolution
+        return textures.decayed(first, p.halvings, self.step / p.steps)
 
     def run(
         self, data: Data, notify: Callable[[int, float], None], until: int | None = None

@@ -1,0 +1,57 @@
+"""Memory that stays: a call that was made before takes no page from the system."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import pytest
+
+COUNT = """
+import resource, torch
+x = torch.rand(65536, 32)
+def call():
+    return sum(part.sum() for part in [x + i for i in range(4)])
+for _ in range(10):
+    call()
+before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
+for _ in range(10):
+    call()
+print(resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before)
+"""
+
+
+def faults(first: str) -> int:
+    """Page faults of ten calls that each free four buffers of 8 MiB."""
+    done = subprocess.run(
+        [sys.executable, "-c", first + COUNT], capture_output=True, text=True, check=True
+    )
+    return int(done.stdout)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="counts pages of 4 KiB, as Linux has them")
+def test_freed_memory_is_kept() -> None:
+    from harness import allocator
+
+    if not allocator.keep():
+        pytest.skip("a C library without mallopt")
+    assert faults("import harness\n") < 200
+    assert faults("") > 10_000  # what the C library would do: 2048 pages a buffer
+
+
+def test_what_is_free_can_be_given_back() -> None:
+    """The resident memory of a process shrinks by what it freed."""
+    code = """
+import harness, torch
+from harness import allocator
+def resident():
+    return int(open('/proc/self/statm').read().split()[1]) * 4096
+kept = torch.ones(64 << 20, dtype=torch.uint8)
+parts = [torch.ones(8 << 20, dtype=torch.uint8) for _ in range(32)]
+del parts
+before = resident()
+allocator.give_back()
+print(before - resident())
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert int(done.stdout) > 200 << 20
