@@ -75,7 +75,7 @@ class Held:
         seed: int,
         kernel: float | tuple[float, float],
         rows: int = 1 << 18,
-        samples: int = 64,
+        samples: int = 256,
         conditions: int = 256,
         paths: int = 1 << 15,
         side: int = 160,
