@@ -83,7 +83,9 @@ PROFILES = {
     "relief": _RELIEF,
     # For what needs more of everything; and for what needs still more.
     "deep": replace(_RELIEF, queries=40 << 20, steps=8000, final_steps=2400, offset_steps=8000),
-    "deepest": replace(_RELIEF, queries=80 << 20, steps=16000, final_steps=4800, offset_steps=12000),
+    "deepest": replace(
+        _RELIEF, queries=80 << 20, steps=16000, final_steps=4800, offset_steps=12000
+    ),
     # The papers' sizes: 300 queries a texel of 512^2, batches of a million. For a GPU.
     "full": Profile(NEUSAMPLE, 80 << 20, 64, 27000, 1 << 20, 3000, 1 << 20),
     "full-pyramid": Profile(NEUMIP, 80 << 20, 64, 27000, 1 << 20, 3000, 1 << 20),
