@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -156,6 +157,7 @@ def test_short_calls_are_repeated_until_a_turn_is_long(monkeypatch):
         monkeypatch.setattr(timing, "now", clock.now)
         Paced.clock = clock
         given = {"batch": 64, "rounds": 12, "max_rounds": 12, "least_seconds": least}
+        given["slices"] = 1
         _, base = throughput(Paced(), Paced(), **given)
         value, low, high = interval(base, "samples-per-second")
         assert value == pytest.approx(64 / 1.01e-3, rel=0.05)
@@ -210,6 +212,45 @@ def test_rounds_are_interleaved_and_rotate():
     assert sorted(firsts) == [0, 0, 1, 1, 2, 2]
     assert all({i for n, i in order if n == number} == {0, 1, 2} for number in range(6))
     assert timings.loadavg.shape == (3,) and (timings.loadavg >= 0).all()
+
+
+def test_slices_alternate_with_the_rival_s():
+    """Who goes first too; the rival's own turn is another, and so are its seconds."""
+    order: list[int] = []
+
+    def once(index: int) -> Callable[[int], float]:
+        return lambda number: (order.append(index), len(order))[1]
+
+    pair = [Contender("base", once(0), slices=2), Contender("other", once(1), 1.0, 0, slices=3)]
+    timings = interleave(pair, RoundSettings(rounds=1, max_rounds=1), quiet)
+    assert order == [0, 0, 0, 1, 1, 0, 0, 1]
+    assert timings.seconds(0) == [1.5] and timings.seconds(1) == [(4 + 5 + 8) / 3]
+    assert timings.rival_seconds(1) == [(3 + 6 + 7) / 3]
+
+
+def test_slices_see_the_same_machine():
+    """Whose speed changes within a turn: by half, up and down every tenth of a second."""
+    widths = {}
+    for slices in (1, 10):
+        clock = Clock(noise=0.01, drift=0.5, pace=60)
+        work = [lambda _, s=s, c=clock, n=slices: c.work(s / n) for s in (0.05, 0.1)]
+        pair = contenders(*work)
+        if slices > 1:
+            pair = [replace(one, slices=slices) for one in pair]
+        timings = interleave(pair, RoundSettings(rounds=15, max_rounds=15), quiet)
+        assert timings.ratio(1).low <= 2 <= timings.ratio(1).high
+        widths[slices] = timings.width(1)
+    assert widths[10] < widths[1] / 3
+
+
+def test_more_rounds_need_no_rival_that_is_beside():
+    clock, noisy = Clock(noise=0.002, drift=0), np.random.default_rng(3)
+    pair = [
+        Contender("baseline", lambda _: clock.work(1), slices=2),
+        Contender("wide", lambda _: 2 * math.exp(0.2 * noisy.normal()), rival=0, slices=2),
+    ]
+    timings = interleave(pair, RoundSettings(rounds=6, max_rounds=400), quiet)
+    assert len(timings.seconds(0)) == 6 < len(timings.seconds(1)) == len(timings.rival_seconds(1))
 
 
 def test_quiet_timings_end_after_the_planned_rounds():

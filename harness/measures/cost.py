@@ -36,7 +36,7 @@ class Cost(Measure):
 
     *Seconds* per million samples and pdf queries come from one batch, as ``throughput`` takes
     them; those per sample per pixel from renders, as ``equal-time`` does, in rounds that all
-    methods share; ratios to the baseline are of the same round.
+    methods share; ratios to the baseline are of the same turn, for renders of the same round.
 
     *Parts*: in a metered render (:class:`~harness.rendering.meter.Meter`) every call of the
     method and of the material is forced by itself. ``sampling-share`` is the method's sample

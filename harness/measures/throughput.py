@@ -5,9 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Annotated, Any, ClassVar
 
 import torch
+from pydantic import Field
 
 from harness.measures.base import Job, Measure, Outcome, Record
 from harness.measures.timing import (
@@ -24,8 +25,9 @@ class BatchSettings(RoundSettings):
     """``batch`` rows, as a renderer's wavefront has them, or as many as ``max_seconds`` allow;
     ``rows``, where given, are exactly so many instead.
 
-    A call that takes less than ``least_seconds`` is repeated until it has taken that long, and its
-    time is the mean: a clock reads milliseconds well, a machine does not keep quiet for them.
+    A turn is ``slices`` slices of one call or more, so many that together they take
+    ``least_seconds``; each has one of the baseline's beside it (:class:`Contender`). A clock reads
+    milliseconds well, a machine does not keep quiet for them.
 
     ``sittings`` is in how many processes, one after the other, all of it is done; up to
     ``max_sittings`` (default: no more) while an interval is wider than ``tolerance``. The numbers
@@ -39,17 +41,18 @@ class BatchSettings(RoundSettings):
     rounds: int = 11
     max_seconds: float = 1.0
     least_seconds: float = 0.05
+    slices: Annotated[int, Field(ge=1)] = 5
 
 
 class Throughput(Measure):
     """Rows per second of ``sample`` and ``pdf`` on one batch of random conditions.
 
-    Each call is warmed up until two in a row agree within ``stable``; then methods take
-    turns, see :func:`~harness.measures.timing.interleave`. The batch is in memory before the
-    clock starts, and the result is there when it stops. A method too slow for the whole batch
-    within ``max_seconds`` is timed on a part of it, and the ``batch`` record says so.
+    Each call is warmed up until two in a row agree within ``stable``; then methods take turns
+    beside the baseline, see :func:`~harness.measures.timing.interleave`. The batch is in memory
+    before the clock starts, and the result is there when it stops. A method too slow for the
+    whole batch within ``max_seconds`` is timed on a part of it, and the ``batch`` record says so.
     ``sample-time-ratio`` and ``pdf-time-ratio`` are times per row over the baseline's of the
-    same round. ``disturbed`` is 1 where an interval stayed wider than ``tolerance``.
+    same turn. ``disturbed`` is 1 where an interval stayed wider than ``tolerance``.
     """
 
     name = "throughput"
@@ -100,6 +103,7 @@ class Batch:
 
     sample: Repeated
     pdf: Repeated
+    slices: int
 
     @property
     def rows(self) -> int:
@@ -116,6 +120,7 @@ class Batch:
                 lambda _, work=work: seconds_of(work, device),
                 work.rows * work.times,
                 rival,
+                self.slices,
             )
             for what, work, rival in zip(
                 ("sample", "pdf"), (self.sample, self.pdf), rivals, strict=True
@@ -141,9 +146,9 @@ def prepare_batch(job: Job, settings: BatchSettings, notify: Callable[[str], Non
             break
         rows = int(min(settings.batch, fits, 64 * rows))
     once = {sample: seconds, pdf: settle(lambda: seconds_of(pdf, device), settings)}
-    return Batch(
-        *(Repeated(c, rows, max(1, math.ceil(settings.least_seconds / once[c]))) for c in once)
-    )
+    least = settings.least_seconds / settings.slices
+    calls = (Repeated(call, rows, max(1, math.ceil(least / once[call]))) for call in once)
+    return Batch(*calls, settings.slices)
 
 
 def _calls(job: Job, rows: int) -> tuple[Callable[[], object], Callable[[], object]]:

@@ -35,12 +35,22 @@ class Contender:
     ``once(round)`` does the work with its result forced and returns the seconds that took;
     ``units`` is how much work that is. ``rival`` is the index of the contender whose time in
     the same round this one's is divided by, None for one that is compared with nothing.
+
+    With ``slices`` a turn is so many calls of ``once``, each beside one of the rival's, which of
+    the two goes first alternating: a machine that slows down for a tenth of a second then slows
+    both. Without, the rival's own turn of the round is what this one is compared with.
     """
 
     label: str
     once: Callable[[int], float]
     units: float = 1.0
     rival: int | None = None
+    slices: int = 0
+
+    @property
+    def needed(self) -> int | None:
+        """Whose turn in a round this one needs; its rival's, unless that has one beside it."""
+        return None if self.slices else self.rival
 
 
 @dataclass
@@ -54,13 +64,38 @@ class Timings:
     wall: float = 0.0
     """Seconds from the first round to the last, the harness's own work included."""
     _taken: list[dict[int, float]] = field(default_factory=list)
+    _beside: list[dict[int, float]] = field(default_factory=list)
+    _timed: float = 0.0
 
     def __post_init__(self) -> None:
         self._taken = [{} for _ in self.contenders]
+        self._beside = [{} for _ in self.contenders]
 
     def take(self, index: int, number: int) -> None:
         """Time contender ``index`` in round ``number``."""
-        self._taken[index][number] = self.contenders[index].once(number)
+        one = self.contenders[index]
+        if one.slices and one.rival is not None:
+            rival = self.contenders[one.rival]
+            pairs = [self._pair(rival, one, number, k % 2 == 1) for k in range(one.slices)]
+            theirs, own = (float(np.mean(seconds)) for seconds in zip(*pairs, strict=True))
+            self._beside[index][number] = theirs
+        else:
+            own = float(np.mean([self._once(one, number) for _ in range(max(1, one.slices))]))
+        self._taken[index][number] = own
+
+    def _pair(
+        self, rival: Contender, one: Contender, number: int, swapped: bool
+    ) -> tuple[float, float]:
+        """Seconds of a slice of each; ``swapped``, ``one`` goes first."""
+        if swapped:
+            own = self._once(one, number)
+            return self._once(rival, number), own
+        return self._once(rival, number), self._once(one, number)
+
+    def _once(self, one: Contender, number: int) -> float:
+        seconds = one.once(number)
+        self._timed += seconds
+        return seconds
 
     def seconds(self, index: int) -> NDArray:
         """Seconds per unit [rounds], in the order of the rounds."""
@@ -71,7 +106,7 @@ class Timings:
         """Seconds per unit of the rival in the same rounds; its own for one without a rival."""
         rival = self.contenders[index].rival
         other = index if rival is None else rival
-        taken, units = self._taken[other], self.contenders[other].units
+        taken, units = self._beside[index] or self._taken[other], self.contenders[other].units
         return np.array([taken[k] for k in sorted(self._taken[index])]) / units
 
     def median(self, index: int) -> Interval:
@@ -100,8 +135,7 @@ class Timings:
 
         The price of taking turns, of checking results and of keeping them.
         """
-        timed = sum(sum(taken.values()) for taken in self._taken)
-        return self.wall / timed - 1
+        return self.wall / self._timed - 1
 
     def mark(self, *indices: int) -> tuple[Record, str]:
         """The record ``disturbed`` for a trial made of contenders ``indices``, and its reason."""
@@ -120,8 +154,8 @@ def interleave(
     """Time all ``contenders`` in rounds whose order rotates, so that drift hits all alike.
 
     After the planned rounds those whose interval is still too wide go on, each with its rival
-    in the same round, until it is narrow enough or the budget of rounds is spent. All rounds
-    count; stopping when an interval is narrow makes its coverage a little less than 95 %,
+    in the same round or turn, until it is narrow enough or the budget of rounds is spent. All
+    rounds count; stopping when an interval is narrow makes its coverage a little less than 95 %,
     more rounds than a fixed number make it narrower.
     """
     most = 2 * settings.rounds if settings.max_rounds is None else settings.max_rounds
@@ -145,13 +179,13 @@ def interleave(
 
 
 def _with_rivals(contenders: Sequence[Contender], wanted: Iterable[int]) -> set[int]:
-    """``wanted``, their rivals, and the rivals of those: whoever runs needs its rival's time."""
+    """``wanted``, those whose turns they need, and those whose turns these need."""
     found: set[int] = set()
     for index in wanted:
         step: int | None = index
         while step is not None and step not in found:
             found.add(step)
-            step = contenders[step].rival
+            step = contenders[step].needed
     return found
 
 
