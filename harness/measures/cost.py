@@ -35,14 +35,14 @@ class Cost(Measure):
     """Seconds, bytes and counts of each method on one material, in one scene.
 
     *Seconds* per million samples and pdf queries come from one batch, as ``throughput`` takes
-    them; those per sample per pixel from renders, as ``equal-time`` does, in rounds that all
-    methods share; ratios to the baseline are of the same turn, for renders of the same round.
+    them; those per sample per pixel from renders that fill a slice, in rounds that all
+    methods share; ratios to the baseline are of the same turn, in which the two alternate.
 
     *Parts*: in a metered render (:class:`~harness.rendering.meter.Meter`) every call of the
     method and of the material is forced by itself. ``sampling-share`` is the method's sample
     and pdf, ``material-share`` the material's evaluation, ``rest-share`` everything else; each
     over the metered render's own time. Seconds per spp of a part are its share times the bare
-    render's seconds of the same round. ``metering-overhead`` is metered over bare less one:
+    render's seconds of the same turn. ``metering-overhead`` is metered over bare less one:
     what the split is uncertain by. ``measuring-overhead`` is the rest of the measuring over
     the renders and calls themselves, of all methods together.
 
@@ -133,12 +133,11 @@ class _Subject:
 
     def contenders(self, first: int, base: int | None) -> list[Contender]:
         """Sample, pdf, bare and metered render; the rival of the last is the bare one."""
+        name, spp = self.job.method.name, self.bare.spp
         return [
             *self.batch.contenders(self.job, base),
-            self.bare.contender(None if base is None else base + 2),
-            Contender(
-                f"{self.job.method.name} metered render", self._metered, self.bare.spp, first + 2
-            ),
+            self.bare.contender(None if base is None else base + 2, slices=1),
+            Contender(f"{name} metered render", self._metered, spp, first + 2, slices=1),
         ]
 
     def _metered(self, number: int) -> float:
@@ -175,11 +174,11 @@ class _Subject:
             Record("seconds-per-spp", *timings.median(bare), "s"),
             Record("time-ratio", *timings.ratio(bare), "1"),
         ]
-        # The bare render also runs in extra rounds that only its own method's followers need.
-        same_round = timings.rival_seconds(metering)
+        # Of the renders that alternated with the metered ones.
+        same_turn = timings.rival_seconds(metering)
         for part, share in shares.items():
             records.append(Record(f"{part}-share", *median_interval(share), "1"))
-            seconds = median_interval(share * same_round)
+            seconds = median_interval(share * same_turn)
             records.append(Record(f"{part}-seconds-per-spp", *seconds, "s"))
         over = timings.ratio(metering)
         records += [
@@ -200,7 +199,7 @@ class _Subject:
             "batch_variance": np.array(self.bare.errors),
             "baseline_seconds": timings.rival_seconds(bare),
             "metered_seconds": timings.seconds(metering),
-            "bare_of_metered_seconds": same_round,
+            "bare_of_metered_seconds": same_turn,
             "round_spp": np.array(self.bare.spp),
             "loadavg": timings.loadavg,
             **{f"{part}_share": share for part, share in shares.items()},

@@ -34,15 +34,15 @@ class Entrant:
     """Of every timed render: variance of one sample, averaged over the pixels that count."""
 
     def once(self, number: int) -> float:
-        """Seconds of the render of round ``number``."""
-        seed = 5000 * (self.job.seed + 1) + number
+        """Seconds of a render in round ``number``; its random numbers are no other render's."""
+        seed = 5000 * (self.job.seed + 1) + len(self.errors)
         rendered = checked(self.prepared.render(self.spp, seed), self.job)
         self.errors.append(rendered.error(self.prepared.mask))
         return rendered.seconds
 
-    def contender(self, rival: int | None) -> Contender:
+    def contender(self, rival: int | None, slices: int = 0) -> Contender:
         """Seconds per sample per pixel."""
-        return Contender(f"{self.job.method.name} render", self.once, self.spp, rival)
+        return Contender(f"{self.job.method.name} render", self.once, self.spp, rival, slices)
 
 
 def enter(job: Job, settings: RenderSettings, notify: Callable[[str], None]) -> Entrant:
