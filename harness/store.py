@@ -18,7 +18,7 @@ import shutil
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -219,11 +219,12 @@ def load_trial(results: str | Path, trial: str) -> Stored:
     path = folder / "trial.json"
     if path.is_file():
         return _stored(path)
-    for row in load_plan(results)["trials"]:
-        if row["trial"] == trial:
-            labels = {key: row[key] for key in LABELS}
-            return Stored(trial, row["identity"], labels, "skipped", NOT_RUN)
-    raise InputError(f"{results}: no trial '{trial}'")
+    plan = Path(results) / "plan.json"
+    row = _planned(plan, plan.stat().st_mtime_ns).get(trial) if plan.is_file() else None
+    if row is None:
+        raise InputError(f"{results}: no trial '{trial}'")
+    labels = {key: row[key] for key in LABELS}
+    return Stored(trial, row["identity"], labels, "skipped", NOT_RUN)
 
 
 def stored(results: str | Path) -> list[str]:
@@ -258,6 +259,12 @@ def load_results(results: str | Path, all: bool = False) -> pd.DataFrame:
 
 
 # --- inside ------------------------------------------------------------------------------------
+
+
+@lru_cache(maxsize=1)
+def _planned(plan: Path, written: int) -> dict[str, dict[str, Any]]:
+    """Rows of a plan by hash, of the file as it was ``written``; megabytes, asked for by each."""
+    return {row["trial"]: row for row in read_json(plan)["trials"]}
 
 
 def _stored(path: Path) -> Stored:
