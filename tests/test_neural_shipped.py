@@ -45,7 +45,7 @@ def test_a_shipped_material(name):
 
 def test_the_table_of_records():
     found = CliRunner().invoke(
-        build("material"), ["material", "show", NAMES[0]], env={"COLUMNS": "200"}
+        build("material"), ["material", "show", NAMES[0]], env={"COLUMNS": "80"}
     )
     assert found.exit_code == 0 and "steps" in found.stdout
     with pytest.raises(InputError, match="did you mean"):

@@ -14,18 +14,28 @@ COLUMNS = ("material", "form", "R² of log(1+f)", "±", "energy off by", "within
 
 
 def table(files: list[Path]) -> Table:
-    """One row a file; ``energy off by`` is the 95th percentile over conditions.
+    """One row a file, a column where there is only one.
+
+    ``energy off by`` is the 95th percentile over conditions.
 
     Raises:
         InputError: a published checkpoint, which has no record.
     """
-    found = Table(title="Neural materials", caption="errors on queries held out from training")
-    for i, name in enumerate(COLUMNS):
-        found.add_column(name, justify="left" if i < 2 else "right")
     for file in files:
         if file.suffix != ".safetensors":
             raise InputError(f"{file}: a published checkpoint has no training record")
-        found.add_row(*cells(file))
+    found = Table(title="Neural materials", caption="errors on queries held out from training")
+    rows = [cells(file) for file in files]
+    if len(rows) == 1:
+        found.add_column(COLUMNS[0])
+        found.add_column(rows[0][0], justify="right")
+        for name, cell in zip(COLUMNS[1:], rows[0][1:], strict=True):
+            found.add_row(name, cell)
+        return found
+    for i, name in enumerate(COLUMNS):
+        found.add_column(name, justify="left" if i < 2 else "right")
+    for row in rows:
+        found.add_row(*row)
     return found
 
 

@@ -14,7 +14,7 @@ from typing import Any
 import matplotlib as mpl
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter, NullLocator
 
 from harness.report import numbers
 
@@ -56,6 +56,8 @@ _STEPS = (
     (math.inf, (1.0,)),
 )
 """(decades spanned by an axis, multiples of a power of ten that are labelled below that)."""
+_MINOR = 3
+"""Decades up to which an axis has ticks between its labels."""
 
 
 @dataclass(frozen=True)
@@ -120,6 +122,9 @@ def log_ticks(panel: Axes) -> None:
         axis.set_major_locator(LogLocator(subs=steps, numticks=8))
         axis.set_major_formatter(FuncFormatter(_tick_label))
         axis.set_minor_formatter(NullFormatter())
+        if decades > _MINOR:
+            # Too close to be read; and they take longer to draw than all lines of a panel.
+            axis.set_minor_locator(NullLocator())
 
 
 def _tick_label(value: float, _: int) -> str:
