@@ -71,15 +71,8 @@ PROFILES = {
     # Two minutes of one core.
     "quick": replace(_MINUTES, texture_rate=3e-2, offset_steps=3000),
     "quick-pyramid": replace(_MINUTES, architecture=_SMALL_PYRAMID),
-    # What ships was made by the next four. For surfaces that are nearly flat:
-    "long": replace(
-        _MINUTES,
-        architecture=replace(_SMALL, cosines=False),
-        queries=32 << 20,
-        steps=6000,
-        final_steps=1800,
-    ),
-    # For relief: the offset knows it before anything else is learned.
+    # What ships was made by the next three: the offset knows the relief before anything else is
+    # learned.
     "relief": _RELIEF,
     # For what needs more of everything; and for what needs still more.
     "deep": replace(_RELIEF, queries=40 << 20, steps=8000, final_steps=2400, offset_steps=8000),
