@@ -119,7 +119,7 @@ def log_ticks(panel: Axes) -> None:
         low, high = axis.get_view_interval()
         decades = math.log10(high / low)
         steps = next(steps for widest, steps in _STEPS if decades < widest)
-        axis.set_major_locator(LogLocator(subs=steps, numticks=8))
+        axis.set_major_locator(LogLocator(subs=steps, numticks=5))
         axis.set_major_formatter(FuncFormatter(_tick_label))
         axis.set_minor_formatter(NullFormatter())
         if decades > _MINOR:
