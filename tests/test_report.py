@@ -10,6 +10,7 @@ import shutil
 import subprocess
 import sys
 import warnings
+from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -200,6 +201,15 @@ def test_ceilings_warnings_and_gaps_do_not_compete():
         Cell(1.0, 0.9, 1.1),
     ]
     assert bold(cells, "high") == [False, False, False, False, True, False]
+
+
+def test_a_disturbed_number_wins_nothing_and_stands_in_the_way():
+    winner, rest = Cell(2.0, 1.9, 2.1), Cell(1.0, 0.9, 1.1)
+    better = Cell(2.5, 2.2, 2.8, warning="disturbed: interval wider than 10%")
+    worse = Cell(1.5, 1.2, 1.8, warning="disturbed: interval wider than 10%")
+    assert bold([winner, rest, better], "high") == [False, False, False]
+    assert bold([winner, rest, worse], "high") == [True, False, False]
+    assert bold([winner, rest, replace(worse, missing="error")], "high") == [True, False, False]
 
 
 # --- the tables ----------------------------------------------------------------------------------

@@ -99,7 +99,8 @@ def embolden(cells: list[Cell], best: str) -> list[Cell]:
     """Bold the best cell ("high", "low"; "": none), if its interval lies clear of the next best's.
 
     Cells that are missing, ceilings, or carry a warning do not compete; nor can a number
-    without an interval win. A contest needs two.
+    without an interval win. A contest needs two. A number that was disturbed or came late wins
+    nothing either, but may well be the best: the winner's interval lies clear of its too.
     """
     if not best:
         return cells
@@ -112,7 +113,8 @@ def embolden(cells: list[Cell], best: str) -> list[Cell]:
     first, others = ranked[0], ranked[1:]
     if cells[first].low is None or cells[first].high is None:
         return cells
-    if any(_overlap(cells[first], cells[other], best) for other in others):
+    rivals = [cells[i] for i in others] + [c for c in cells if _uncertain(c)]
+    if any(_overlap(cells[first], rival, best) for rival in rivals):
         return cells
     return [replace(c, bold=True) if i == first else c for i, c in enumerate(cells)]
 
@@ -121,6 +123,13 @@ def _competes(cell: Cell) -> bool:
     if cell.missing or cell.warning or cell.ceiling or cell.value is None:
         return False
     return math.isfinite(cell.value)
+
+
+def _uncertain(cell: Cell) -> bool:
+    """Whether its number is of the right thing, though not well known."""
+    if cell.missing or cell.ceiling or cell.value is None or not math.isfinite(cell.value):
+        return False
+    return bool(cell.warning) and "biased" not in cell.warning
 
 
 def _overlap(winner: Cell, other: Cell, best: str) -> bool:

@@ -15,7 +15,7 @@ Mean = Callable[[list[Estimate], int], Estimate]
 
 BOLD_LEGEND = (
     "Bold: the best of its row, where its interval lies clear of every other's. Brackets: 95% "
-    "intervals. † no number, ‡ a number to be read with its note; neither competes."
+    "intervals. † no number, ‡ a number to be read with its note; neither wins."
 )
 CEILING_LEGEND = (
     "tabulated (italic) is the ceiling: too slow and too large to be used, so it does not compete."
