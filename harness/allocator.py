@@ -2,7 +2,7 @@
 
 The buffers of a batch are some megabytes each. By default glibc hands such memory back when it is
 freed, and the next call takes every page of it anew from the system: thousands of page faults,
-a third of the time of a small network and most of its spread. Renderers keep their memory.
+a third to a half of the time of a small network. Renderers keep their memory.
 """
 
 from __future__ import annotations

@@ -207,10 +207,7 @@ def locked(results: Path) -> Iterator[None]:
 
 def load_plan(results: str | Path) -> dict[str, Any]:
     """The plan of the last run: suite, title, profile, baseline, report, labels and trials."""
-    path = Path(results) / "plan.json"
-    if not path.is_file():
-        raise InputError(f"{results}: holds no results (there is no plan.json)")
-    return read_json(path)
+    return read_json(_plan_file(results))
 
 
 def load_trial(results: str | Path, trial: str) -> Stored:
@@ -219,8 +216,8 @@ def load_trial(results: str | Path, trial: str) -> Stored:
     path = folder / "trial.json"
     if path.is_file():
         return _stored(path)
-    plan = Path(results) / "plan.json"
-    row = _planned(plan, plan.stat().st_mtime_ns).get(trial) if plan.is_file() else None
+    plan = _plan_file(results)
+    row = _planned(plan, plan.stat().st_mtime_ns).get(trial)
     if row is None:
         raise InputError(f"{results}: no trial '{trial}'")
     labels = {key: row[key] for key in LABELS}
@@ -259,6 +256,13 @@ def load_results(results: str | Path, all: bool = False) -> pd.DataFrame:
 
 
 # --- inside ------------------------------------------------------------------------------------
+
+
+def _plan_file(results: str | Path) -> Path:
+    path = Path(results) / "plan.json"
+    if not path.is_file():
+        raise InputError(f"{results}: holds no results (there is no plan.json)")
+    return path
 
 
 @lru_cache(maxsize=1)

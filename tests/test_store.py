@@ -147,6 +147,8 @@ def test_labels_of_the_plan_win(tmp_path: Path):
 def test_refusals(tmp_path: Path):
     with pytest.raises(InputError, match="holds no results"):
         load_results(tmp_path)
+    with pytest.raises(InputError, match="holds no results"):
+        store.load_trial(tmp_path, HASH)
     plan(tmp_path, HASH)
     with pytest.raises(InputError, match="no trial 'x'"):
         store.load_trial(tmp_path, "x")

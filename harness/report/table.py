@@ -119,17 +119,19 @@ def embolden(cells: list[Cell], best: str) -> list[Cell]:
     return [replace(c, bold=True) if i == first else c for i, c in enumerate(cells)]
 
 
-def _competes(cell: Cell) -> bool:
-    if cell.missing or cell.warning or cell.ceiling or cell.value is None:
+def _known(cell: Cell) -> bool:
+    if cell.missing or cell.ceiling or cell.value is None:
         return False
     return math.isfinite(cell.value)
 
 
+def _competes(cell: Cell) -> bool:
+    return _known(cell) and not cell.warning
+
+
 def _uncertain(cell: Cell) -> bool:
     """Whether its number is of the right thing, though not well known."""
-    if cell.missing or cell.ceiling or cell.value is None or not math.isfinite(cell.value):
-        return False
-    return bool(cell.warning) and "biased" not in cell.warning
+    return _known(cell) and bool(cell.warning) and "biased" not in cell.warning
 
 
 def _overlap(winner: Cell, other: Cell, best: str) -> bool:
