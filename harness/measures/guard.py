@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from harness.protocol import DiskSample, Material, Method
+from harness.rendering.variant import current
 
 ROWS = 64
 
@@ -35,7 +36,11 @@ def guard(method: Method, material: Material, generator: torch.Generator, device
 
 
 def state_of(method: Method) -> dict[str, Tensor]:
-    """The method's state; :class:`BadAdapter` unless it is a dict of named tensors."""
+    """The method's state, on the device of this process's materials, to be loaded again there.
+
+    Raises:
+        BadAdapter: it is no dict of named tensors.
+    """
     state = _call(method, "state_dict", method.state_dict)
     if not isinstance(state, dict):
         raise BadAdapter(f"{method.name}: state_dict returned {_kind(state)}, expected a dict")
@@ -44,7 +49,7 @@ def state_of(method: Method) -> dict[str, Tensor]:
             raise BadAdapter(
                 f"{method.name}: state_dict()[{key!r}] is {_kind(value)}, expected a tensor"
             )
-    return state
+    return {key: value.to(current()) for key, value in state.items()}
 
 
 def _call(method: Method, what: str, function: Callable[..., Any], *args: Any) -> Any:

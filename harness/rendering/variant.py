@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from types import ModuleType
 
 from harness.protocol.errors import InputError, nearest
@@ -34,6 +35,12 @@ def use(device: str) -> ModuleType:
     if current is None:
         mi.set_variant(wanted)
     return mi
+
+
+def current() -> str:
+    """The device that this process's Mitsuba compiles for: ``cpu`` until one is chosen."""
+    mi = sys.modules.get("mitsuba")
+    return "cuda" if mi is not None and mi.variant() == VARIANTS["cuda"] else "cpu"
 
 
 def _require_cuda(mi: ModuleType) -> None:

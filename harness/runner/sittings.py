@@ -23,6 +23,7 @@ from harness.measures.pooled import disturbed, pooled
 from harness.protocol import BudgetExceeded, Unsupported
 from harness.registry import oneline
 from harness.runner.jobs import Jobs
+from harness.runner.preflight import ready
 from harness.store import Stored
 from harness.suite.trials import Trial, stream_seed
 
@@ -119,6 +120,7 @@ def _sit(parent: Connection, asked: _Asked) -> None:
 
     try:
         first = asked.trials[0]
+        ready(first.budget.device)
         apart = _APART * asked.number
         torch.manual_seed(stream_seed(first.measure, first.seed + apart))
         make = Jobs(asked.baseline, asked.results, asked.stored, note).make
