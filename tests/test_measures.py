@@ -15,6 +15,7 @@ from torch import Tensor
 from harness import registry
 from harness.fitting.targets import cells, tabulate
 from harness.materials import registry as materials
+from harness.measures import guard
 from harness.measures import registry as measures
 from harness.measures.base import Job, Outcome
 from harness.protocol import (
@@ -534,3 +535,12 @@ def test_uneven_is_a_correct_sampler():
     points = square_to_disk(u[:, :2])
     mean = float(method.pdf(points, points).double().mean()) * math.pi
     assert mean == pytest.approx(0.8, abs=0.01)
+
+
+def test_a_state_is_handed_over_on_the_device_of_the_materials(monkeypatch) -> None:
+    """Adapters may keep theirs elsewhere; a material answers on one device alone."""
+    method = registry.make("cosine")
+    monkeypatch.setattr(method, "state_dict", lambda: {"a": torch.ones(2)})
+    assert torch.equal(guard.state_of(method)["a"], torch.ones(2))
+    monkeypatch.setattr(guard, "current", lambda: "meta")
+    assert guard.state_of(method)["a"].device.type == "meta"

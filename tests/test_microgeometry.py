@@ -10,7 +10,7 @@ from harness import microgeometry
 from harness.materials.procedural import fbm
 from harness.materials.registry import make
 from harness.microgeometry.estimate import reflectance
-from harness.microgeometry.queries import draw, energy, integral, stratified, truth
+from harness.microgeometry.queries import _inside, draw, energy, integral, stratified, truth
 from harness.microgeometry.surface import Surface
 from harness.protocol import InputError, square_to_disk
 
@@ -290,6 +290,17 @@ def test_draws_are_seeded_and_cover_their_ranges():
         assert abs(place.mean() - 0.5) < 4 / (12 * 4000) ** 0.5
     assert (draw(flat(), 3, seed=0).kernel == 0.5 / 16).all()
     assert len(draw(flat(), 0, seed=0).f) == 0
+
+
+@pytest.mark.parametrize("past", [0.0, 2**-23, 1e-6, 1e-4])
+def test_directions_on_the_rim_are_brought_inside(past):
+    """However far a device's sine puts them past it; those that are inside are left alone."""
+    angle = torch.linspace(0, 2 * torch.pi, 10001, dtype=torch.float64)
+    rim = ((1 + past) * torch.stack([angle.cos(), angle.sin()], 1)).float()
+    found = _inside(rim)
+    assert (found.square().sum(1) < 1).all()
+    assert (found.double().norm(dim=1) > 1 - 2**-20).all()
+    assert torch.equal(_inside(found), found)
 
 
 @pytest.mark.parametrize(

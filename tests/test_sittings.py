@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 import yaml
 from rich.console import Console
 from scipy import stats
@@ -17,6 +18,7 @@ from harness import load_results, store
 from harness.measures import registry as measures
 from harness.measures.base import Outcome, Record
 from harness.measures.pooled import pooled
+from harness.protocol import Budget
 from harness.rendering.variant import use
 from harness.runner import sittings
 from harness.runner.jobs import Jobs
@@ -249,3 +251,13 @@ def test_every_sitting_is_a_process(tmp_path: Path) -> None:
     stored = store.load_trial(out, good["trial"].item())
     assert stored.arrays["sitting"].shape[0] == 2
     assert len(stored.arrays["sample_seconds"]) >= 12
+
+
+@pytest.mark.skipif(torch.cuda.is_available(), reason="there is a GPU to be refused no more")
+def test_a_sitting_is_on_the_device_of_its_trial() -> None:
+    """Made ready before anything else: a process of its own knows nothing of its parent's."""
+    budget = Budget(device="cuda")
+    trial = Trial("h", {}, "s", "m", "a", "", "cost", 0, settings={}, budget=budget)
+    jobs = Jobs("cosine", Path(), {"": None}, print)
+    with pytest.raises(RuntimeError, match="in a sitting: InputError: device 'cuda' needs"):
+        sittings.run(measures.make("cost"), [trial], jobs, lambda text: None)
