@@ -14,15 +14,17 @@ def call():
     return sum(part.sum() for part in [x + i for i in range(4)])
 for _ in range(10):
     call()
-before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
-for _ in range(10):
+taken = []
+for _ in range(11):
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
     call()
-print(resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before)
+    taken.append(resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before)
+print(sorted(taken)[5])
 """
 
 
 def faults(first: str) -> int:
-    """Page faults of ten calls that each free four buffers of 8 MiB."""
+    """Page faults of a call that frees four buffers of 8 MiB: the median, for a heap may grow."""
     done = subprocess.run(
         [sys.executable, "-c", first + COUNT], capture_output=True, text=True, check=True
     )
@@ -35,8 +37,8 @@ def test_freed_memory_is_kept() -> None:
 
     if not allocator.keep():
         pytest.skip("a C library without mallopt")
-    assert faults("import harness\n") < 200
-    assert faults("") > 10_000  # what the C library would do: 2048 pages a buffer
+    assert faults("import harness\n") < 20
+    assert faults("") > 1000  # what the C library would do: 2048 pages a buffer
 
 
 def test_what_is_free_can_be_given_back() -> None:
