@@ -292,15 +292,27 @@ def test_draws_are_seeded_and_cover_their_ranges():
     assert len(draw(flat(), 0, seed=0).f) == 0
 
 
-@pytest.mark.parametrize("past", [0.0, 2**-23, 1e-6, 1e-4])
-def test_directions_on_the_rim_are_brought_inside(past):
-    """However far a device's sine puts them past it; those that are inside are left alone."""
+def rim(past):
+    """Directions [10001, 2] around the rim, ``past`` it."""
     angle = torch.linspace(0, 2 * torch.pi, 10001, dtype=torch.float64)
-    rim = ((1 + past) * torch.stack([angle.cos(), angle.sin()], 1)).float()
-    found = _inside(rim)
+    return ((1 + past) * torch.stack([angle.cos(), angle.sin()], 1)).float()
+
+
+@pytest.mark.parametrize("past", [0.0, 2**-23])
+def test_directions_that_rounding_put_on_the_rim_are_brought_inside(past):
+    found = _inside(rim(past))
     assert (found.square().sum(1) < 1).all()
     assert (found.double().norm(dim=1) > 1 - 2**-20).all()
     assert torch.equal(_inside(found), found)
+
+
+@pytest.mark.parametrize("past", [1e-6, 1e-4, 1.0])
+def test_directions_past_the_rim_by_more_are_refused(past):
+    """They are no rounding: something is wrong with them, and nothing hides it."""
+    wi = _inside(rim(past))
+    zero = torch.zeros_like(wi)
+    with pytest.raises(InputError, match="wi: expected directions inside the unit disk"):
+        truth(flat(), zero, zero[:, 0], wi, zero, samples=1, seed=0)
 
 
 @pytest.mark.parametrize(

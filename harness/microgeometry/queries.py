@@ -178,12 +178,9 @@ def _range(surface: Any, kernel: float | tuple[float, float] | None) -> tuple[fl
 
 
 def _inside(w: Tensor) -> Tensor:
-    """Directions that rounding put on the rim or past it, by a few steps of the floats inside.
-
-    How far past depends on the device's and the library's sine: they are scaled by their length.
-    """
-    length = w.square().sum(1, keepdim=True).sqrt()
-    return torch.where(length >= 1, w * ((1 - 2**-21) / length), w)
+    """Directions that rounding put on the rim, by one step of the floats off it."""
+    outside = w.square().sum(1, keepdim=True) >= 1
+    return torch.where(outside, w * (1 - 2**-22), w)
 
 
 def _check(
