@@ -14,7 +14,8 @@ class Cell:
 
     ``value`` with its 95% interval ``low``, ``high``; ``text`` replaces the printed number
     (the value stays in the CSV). ``missing`` says why there is no number: it is printed as a
-    dagger with that footnote. ``warning`` is a footnote on a number that is there.
+    dagger with that footnote. ``warning`` is a footnote on a number that is there; ``biased``
+    says that it is the number of an estimator of something else.
     ``ceiling``: shown, but takes no part in the contest for bold. ``shade``: "pass",
     "degraded" or "fail", the colour of a heat map's cell where a format has colours.
     """
@@ -26,6 +27,7 @@ class Cell:
     suffix: str = ""
     missing: str = ""
     warning: str = ""
+    biased: bool = False
     bold: bool = False
     ceiling: bool = False
     shade: str = ""
@@ -131,7 +133,7 @@ def _competes(cell: Cell) -> bool:
 
 def _uncertain(cell: Cell) -> bool:
     """Whether its number is of the right thing, though not well known."""
-    return _known(cell) and bool(cell.warning) and "biased" not in cell.warning
+    return _known(cell) and bool(cell.warning) and not cell.biased
 
 
 def _overlap(winner: Cell, other: Cell, best: str) -> bool:

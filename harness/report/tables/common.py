@@ -22,7 +22,13 @@ CEILING_LEGEND = (
 )
 
 
-def cell(number: Estimate | str, method: MethodColumn, suffix: str = "", warning: str = "") -> Cell:
+def cell(
+    number: Estimate | str,
+    method: MethodColumn,
+    suffix: str = "",
+    warning: str = "",
+    biased: bool = False,
+) -> Cell:
     """A number, or a dagger with its reason."""
     if isinstance(number, str):
         return Cell(missing=number, ceiling=method.ceiling)
@@ -32,6 +38,7 @@ def cell(number: Estimate | str, method: MethodColumn, suffix: str = "", warning
         number.high,
         suffix=suffix,
         warning=warning or number.note,
+        biased=biased,
         ceiling=method.ceiling,
     )
 
@@ -44,17 +51,19 @@ def material_rows(
     mean_label: str,
     suffix: str = "",
     warning: Callable[[str, MethodColumn], str] = lambda material, method: "",
+    biased: Callable[[str, MethodColumn], bool] = lambda material, method: False,
 ) -> list[Row]:
     """A row per material with a cell per method, and the row of means below."""
     rows = []
     for material in results.materials:
         cells = [
-            cell(number(material, m), m, suffix, warning(material, m)) for m in results.methods
+            cell(number(material, m), m, suffix, warning(material, m), biased(material, m))
+            for m in results.methods
         ]
         rows.append(Row(material, embolden(cells, best)))
     if mean is None or len(results.materials) < 2:
         return rows
-    means = [_mean_cell(results, number, m, mean, suffix, warning) for m in results.methods]
+    means = [_mean_cell(results, number, m, mean, suffix, warning, biased) for m in results.methods]
     return [*rows, Row(mean_label, embolden(means, best), summary=True)]
 
 
@@ -107,6 +116,7 @@ def _mean_cell(
     mean: Mean,
     suffix: str,
     warning: Callable[[str, MethodColumn], str],
+    biased: Callable[[str, MethodColumn], bool],
 ) -> Cell:
     numbers = {material: number(material, method) for material in results.materials}
     known = {m: n for m, n in numbers.items() if isinstance(n, Estimate)}
@@ -122,4 +132,5 @@ def _mean_cell(
         for part in filter(None, warning(material, method).split("; ")):
             doubtful.setdefault(part.partition(":")[0], []).append(material)
     said = [f"{what} on {', '.join(where)}" for what, where in doubtful.items()]
-    return cell(combined, method, suffix, "; ".join(filter(None, (combined.note, *said))))
+    said_of_it = "; ".join(filter(None, (combined.note, *said)))
+    return cell(combined, method, suffix, said_of_it, any(biased(m, method) for m in known))

@@ -68,7 +68,7 @@ def _cells(results: Results, one: Standing, scene: str, warnings: Warnings) -> l
     doubt = [f"biased on {', '.join(biased)}"] if biased else []
     if isinstance(one.mean, Estimate) and one.mean.note:
         doubt.append(one.mean.note)
-    mean = cell(one.mean, method, "×", "; ".join(doubt))
+    mean = cell(one.mean, method, "×", "; ".join(doubt), bool(biased))
     if method.label == results.baseline and not mean.missing:
         mean = replace(mean, text="1×")
     return [

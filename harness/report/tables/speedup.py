@@ -141,6 +141,7 @@ def _rows(
         warning=lambda material, method: "; ".join(
             filter(None, (warnings(material, method.label, scene), mark(material, method.label)))
         ),
+        biased=lambda material, method: bool(warnings(material, method.label, scene)),
     )
     return [_with_baseline(row, results) for row in rows]
 
@@ -163,5 +164,6 @@ def _with_baseline(row: Row, results: Results) -> Row:
     for i, method in enumerate(results.methods):
         if method.label == results.baseline and not cells[i].missing:
             plain = as_baseline("1×", method)
-            cells[i] = replace(plain, bold=cells[i].bold, warning=cells[i].warning)
+            kept = {key: getattr(cells[i], key) for key in ("bold", "warning", "biased")}
+            cells[i] = replace(plain, **kept)
     return replace(row, cells=cells)
