@@ -20,7 +20,7 @@ def register(app: typer.Typer) -> None:
         description: Annotated[str, typer.Argument(help="Microgeometry: a .yaml file or a name.")],
         out: Annotated[Path, typer.Option(help="File to write: NAME.safetensors.")],
         profile: Annotated[
-            str, typer.Option(help="quick, long, full, quick-pyramid or full-pyramid.")
+            str, typer.Option(help="quick, relief, deep, deepest or full; quick- or full-pyramid.")
         ] = "quick",
         set_: Annotated[
             list[str] | None,
@@ -53,6 +53,22 @@ def register(app: typer.Typer) -> None:
                 console.print(f"interrupted; --resume goes on from {out.with_suffix('.train')}")
                 raise typer.Exit(INTERRUPTED) from None
         _show(console, [out])
+
+    @material.command()
+    def detail(
+        names: Annotated[list[str], typer.Argument(help="Microgeometries: .yaml files or names.")],
+        resolution: Annotated[int, typer.Option(help="Texels a side of the texture.")] = 128,
+        device: Annotated[str, typer.Option(help="cpu or cuda.")] = "cpu",
+    ) -> None:
+        """Print where a surface is too fine for a texture, before any training."""
+        from rich.console import Console
+
+        from harness import microgeometry
+        from harness.materials.neural import report
+
+        _ready(device)
+        surfaces = [microgeometry.load(name) for name in names]
+        Console().print(report.detail(surfaces, resolution, device))
 
     @material.command()
     def show(

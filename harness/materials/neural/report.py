@@ -1,11 +1,13 @@
-"""How stored materials came to be and how well they answer, as a table."""
+"""Tables: how stored materials came to be and how well they answer; what is too fine for them."""
 
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 from rich.table import Table
 
+from harness.materials.neural import detail as texture_detail
 from harness.materials.neural import storage
 from harness.protocol import InputError
 
@@ -64,3 +66,20 @@ def cells(file: Path) -> list[str]:
         number(record, "seed", "{}"),
         f"{file.stat().st_size / 1000:.0f}",
     ]
+
+
+def detail(surfaces: list[Any], resolution: int, device: str = "cpu") -> Table:
+    """A row a surface: where a texture of ``resolution``^2 misses more than 5 % of the energy."""
+    found = Table(
+        title=f"Too fine for {resolution}² texels",
+        caption="places where the energy in the middle of four texels is not their mean within 5 %",
+    )
+    found.add_column("surface")
+    for cosine in texture_detail.COSINES:
+        found.add_column(f"camera at cosine {cosine:g}", justify="right")
+    found.add_column("noise", justify="right")
+    for surface in surfaces:
+        seen = texture_detail.measure(surface, resolution, device=device)
+        noise = max(one.noise for one in seen)
+        found.add_row(surface.name, *(f"{one.share:.1%}" for one in seen), f"{noise:.1%}")
+    return found
