@@ -58,6 +58,22 @@ def test_identity_is_the_reflectance_and_not_the_record(net, tmp_path):
     assert str(tmp_path) not in json.dumps(found)
 
 
+def test_of_a_description_only_what_is_chosen_counts(net, tmp_path):
+    """A file from before a size was there has the identity of one that leaves it alone."""
+
+    def stored(name: str, **changes: bool | str | None) -> str:
+        about = {**SMALL.as_dict(), **changes}
+        kept = {key: value for key, value in about.items() if value is not None}
+        file = tmp_path / f"{name}.safetensors"
+        labels = {"format": storage.FORMAT, "architecture": json.dumps(kept), "record": "{}"}
+        save_file(net.state_dict(), file, metadata=labels)
+        return storage.reflectance_hash(file)
+
+    whole = stored("whole")
+    assert stored("older", cosines=None) == whole
+    assert stored("other", output="log1p") != whole
+
+
 def test_a_material_from_a_suite(net, tmp_path):
     storage.save(tmp_path / "m.safetensors", net, {})
     spec = {"name": "mine", "type": "neural", "file": "m.safetensors"}

@@ -32,15 +32,15 @@ class Offset(nn.Module):
         self.side = architecture.offset_resolution
         self.texture = nn.Parameter(0.1 * torch.randn(self.side**2, architecture.offset_channels))
         hidden = [architecture.width] * architecture.layers
-        self.cosine = architecture.cosines
-        inputs = architecture.offset_channels + 2 + self.cosine
+        self.cosines = architecture.cosines
+        inputs = architecture.offset_channels + 2 + self.cosines
         # Zero at the start: no shift, as for a flat surface.
         self.network = MLP([inputs, *hidden, 1], architecture.activation, zero_last=True)
 
     def depth(self, uv: Tensor, wi: Tensor, table: Tensor | None = None) -> Tensor:
         """Ray depth r [N], in units of uv; ``table`` stands in for the texture (blurred)."""
         features = textures.lookup(self.texture if table is None else table, self.side, uv)
-        seen = [features, wi, cos_theta(wi)[:, None]] if self.cosine else [features, wi]
+        seen = [features, wi, cos_theta(wi)[:, None]] if self.cosines else [features, wi]
         return self.network(torch.cat(seen, 1))[:, 0]
 
     def forward(self, uv: Tensor, wi: Tensor, table: Tensor | None = None) -> Tensor:

@@ -108,11 +108,16 @@ def record(path: Path) -> dict[str, Any]:
 
 
 def reflectance_hash(path: Path, where: str = "") -> str:
-    """SHA-256 of what determines the reflectance: tensors and description, not the record."""
+    """SHA-256 of what determines the reflectance: tensors and description, not the record.
+
+    Of the description, what is not the default: a size that is added later, and that a material
+    does not use, leaves its hash alone.
+    """
     from safetensors import safe_open
 
-    described = metadata(path, where)
-    found = hashlib.sha256(f"{FORMAT} {described.get('architecture')}".encode())
+    stored, default = _json(metadata(path, where), "architecture", where), Architecture().as_dict()
+    chosen = {key: value for key, value in stored.items() if value != default.get(key)}
+    found = hashlib.sha256(f"{FORMAT} {json.dumps(chosen, sort_keys=True)}".encode())
     with safe_open(path, framework="pt") as file:
         for key in sorted(file.keys()):
             tensor = file.get_tensor(key).contiguous()
