@@ -20,7 +20,7 @@ def register(app: typer.Typer) -> None:
         description: Annotated[str, typer.Argument(help="Microgeometry: a .yaml file or a name.")],
         out: Annotated[Path, typer.Option(help="File to write: NAME.safetensors.")],
         profile: Annotated[
-            str, typer.Option(help="quick, relief, deep, deepest or full; quick- or full-pyramid.")
+            str, typer.Option(help="quick, relief, deep or full; quick- or full-pyramid.")
         ] = "quick",
         set_: Annotated[
             list[str] | None,
@@ -98,6 +98,28 @@ def register(app: typer.Typer) -> None:
         file = _file(name)
         recipe.measure(file, seed, device)
         _show(Console(), [file])
+
+    @material.command()
+    def refine(
+        name: Annotated[str, typer.Argument(help="A shipped material, or a file.")],
+        device: Annotated[str, typer.Option(help="cpu or cuda.")] = "cpu",
+    ) -> None:
+        """Teach a stored material energies, as a training's end does; rewrites its file."""
+        from rich.console import Console
+        from rich.progress import Progress
+
+        from harness.materials.neural import recipe
+
+        _ready(device)
+        file, console = _file(name), Console()
+        with Progress(console=console) as progress:
+            task = progress.add_task("", total=1.0)
+            recipe.refine(
+                file,
+                device,
+                lambda text, share: progress.update(task, description=text, completed=share),
+            )
+        _show(console, [file])
 
     @material.command()
     def preview(

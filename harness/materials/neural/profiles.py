@@ -21,7 +21,8 @@ class Profile:
     5e-3 move lookups by whole texels before the textures hold anything. With ``offset_steps`` the
     offset is first taught, in so many steps, where traced rays hit (``parallax.py``), where the
     surface can tell; it then stands still in the first stage and has a share ``taught_share`` in
-    the second.
+    the second. With ``energy_steps`` so many more end the training, in which it is taught
+    energies too (``energy.py``), where the surface can tell.
     """
 
     architecture: Architecture
@@ -36,13 +37,21 @@ class Profile:
     offset_share: float = 1.0
     offset_steps: int = 0
     taught_share: float = 0.02
+    energy_steps: int = 0
     final_share: float = 0.3
     blur: float = 1 / 64
     halvings: float = 9.0
     floor: float = 0.05
 
 
-_SMALL = replace(NEUSAMPLE, resolution=128, offset_resolution=128, half_vector=True, cosines=True)
+_SMALL = replace(
+    NEUSAMPLE,
+    resolution=128,
+    offset_resolution=128,
+    half_vector=True,
+    cosines=True,
+    output="log1p",
+)
 _SMALL_PYRAMID = replace(NEUMIP, resolution=128, offset_resolution=128)
 _MINUTES = Profile(
     _SMALL,
@@ -65,20 +74,18 @@ _RELIEF = replace(
     final_steps=1500,
     texture_rate=3e-2,
     offset_steps=4000,
+    energy_steps=800,
 )
 
 PROFILES = {
     # Two minutes of one core.
-    "quick": replace(_MINUTES, texture_rate=3e-2, offset_steps=3000),
+    "quick": replace(_MINUTES, texture_rate=3e-2, offset_steps=3000, energy_steps=200),
     "quick-pyramid": replace(_MINUTES, architecture=_SMALL_PYRAMID),
-    # What ships was made by the next three: the offset knows the relief before anything else is
+    # What ships was made by the next two: the offset knows the relief before anything else is
     # learned.
     "relief": _RELIEF,
-    # For what needs more of everything; and for what needs still more.
+    # For what needs more of everything.
     "deep": replace(_RELIEF, queries=40 << 20, steps=8000, final_steps=2400, offset_steps=8000),
-    "deepest": replace(
-        _RELIEF, queries=80 << 20, steps=16000, final_steps=4800, offset_steps=12000
-    ),
     # The papers' sizes: 300 queries a texel of 512^2, batches of a million. For a GPU.
     "full": Profile(NEUSAMPLE, 80 << 20, 64, 27000, 1 << 20, 3000, 1 << 20),
     "full-pyramid": Profile(NEUMIP, 80 << 20, 64, 27000, 1 << 20, 3000, 1 << 20),

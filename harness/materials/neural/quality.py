@@ -76,7 +76,7 @@ class Held:
         kernel: float | tuple[float, float],
         rows: int = 1 << 18,
         samples: int = 256,
-        conditions: int = 256,
+        conditions: int = 1024,
         paths: int = 1 << 15,
         side: int = 160,
         device: str = "cpu",

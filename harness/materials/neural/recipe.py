@@ -5,13 +5,13 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict, fields, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 from harness import machine, microgeometry
-from harness.materials.neural import parallax, storage
+from harness.materials.neural import energy, parallax, storage
 from harness.materials.neural.architecture import Architecture
 from harness.materials.neural.profiles import Profile
 from harness.materials.neural.profiles import profile as find_profile
@@ -21,8 +21,12 @@ from harness.microgeometry import queries
 from harness.microgeometry.description import read
 from harness.protocol import InputError
 
-_RAYS = 4 << 40
-"""Between a training's seed and that of its rays."""
+_RAYS, _ENERGIES, _DIRECTIONS, _AGAIN = (k << 40 for k in (4, 5, 6, 7))
+"""Between a training's seed and those of its rays, its energies, what these are compared at,
+and queries drawn after it."""
+
+_REFINING = (800, 6 << 20)
+"""Steps and queries of :func:`refine`."""
 
 Notify = Callable[[str, float], None]
 """``notify(what is being done, share of the whole)``."""
@@ -81,10 +85,8 @@ def train(
     except KeyboardInterrupt:
         training.save(under_way, labels)
         raise
-    network = training.network.eval()
-    notify("measuring the errors", 1.0)
-    held = Held.draw(surface, seed, footprints(network), device=device)
-    single = held.measure(network)
+    if chosen.energy_steps and energy.able(surface, training.network):
+        data_seconds += _energies(training, surface, data, chosen.energy_steps, notify)
     record = {
         "name": surface.name,
         "about": getattr(read(microgeometry.find(description)), "about", ""),
@@ -97,14 +99,43 @@ def train(
         "train_seconds": round(training.seconds, 2),
         "steps": training.step,
         "final_loss": training.history[-1],
-        "quality_in_single_precision": single.as_dict(),
     }
-    # Twice: what is measured last is what is stored, with its textures rounded.
-    network.cpu()
-    storage.save(out, network, record)
-    record["quality"] = held.measure(storage.load(out).to(device)).as_dict()
-    storage.save(out, network, record)
+    _store(training, surface, record, out, notify)
     under_way.unlink(missing_ok=True)
+    return record
+
+
+def refine(
+    file: Path, device: str = "cpu", notify: Notify = lambda _text, _share: None
+) -> dict[str, Any]:
+    """Teach a stored material energies, as the end of a training does; rewrites ``file``.
+
+    For materials from before that was a part of trainings, or with another surface's energies
+    than now. It goes on from textures in half precision, so it ends not quite as a training does.
+    The record keeps the seconds that it took, and returns.
+
+    Raises:
+        InputError: no material of ours, no description of its microgeometry, or a pyramid.
+    """
+    record, surface = _of(file)
+    known = {field.name for field in fields(Profile)}
+    about = {key: value for key, value in record["profile"].items() if key in known}
+    chosen = Profile(**{**about, "architecture": Architecture.of(about["architecture"], str(file))})
+    training = Training(chosen, record["seed"], device)
+    training.network.load_state_dict(storage.load(file).state_dict())
+    training.step = training.total
+    if not energy.able(surface, training.network):
+        raise InputError(f"{file}: expected a material of one resolution, of a traced surface")
+    steps, count = _REFINING
+    data, seconds = _data(surface, training, replace(chosen, queries=count), notify, _AGAIN)
+    seconds += _energies(training, surface, data, steps, notify)
+    record["refined"] = {
+        "steps": steps,
+        "data_seconds": round(seconds, 2),
+        "train_seconds": round(training.seconds, 2),
+        "finished": datetime.now(UTC).isoformat(timespec="seconds"),
+    }
+    _store(training, surface, record, file, notify)
     return record
 
 
@@ -118,7 +149,19 @@ def measure(file: Path, seed: int = 0, device: str = "cpu") -> dict[str, Any]:
     Raises:
         InputError: no material of ours, or no description of its microgeometry is found.
     """
-    record, network = storage.record(file), storage.load(file).to(device)
+    record, surface = _of(file)
+    network = storage.load(file).to(device)
+    held = Held.draw(surface, seed, footprints(network), device=device)
+    record.setdefault("quality_when_trained", record.get("quality"))
+    record["quality"] = held.measure(network).as_dict()
+    record["measured"] = datetime.now(UTC).isoformat(timespec="seconds")
+    storage.save(file, network.cpu(), record)
+    return record
+
+
+def _of(file: Path) -> tuple[dict[str, Any], Any]:
+    """The record of a stored material, and the surface that it was trained on."""
+    record = storage.record(file)
     if "name" not in record:
         raise InputError(f"{file}: its record names no microgeometry to measure it by")
     surface = microgeometry.load(record["name"])
@@ -126,12 +169,36 @@ def measure(file: Path, seed: int = 0, device: str = "cpu") -> dict[str, Any]:
     # The hash of the code that traces changes with every word of it.
     if {**now, "source": ""} != {**then, "source": ""}:
         raise InputError(f"{file}: was trained on another '{record['name']}' than there is now")
-    held = Held.draw(surface, seed, footprints(network), device=device)
-    record.setdefault("quality_when_trained", record.get("quality"))
-    record["quality"] = held.measure(network).as_dict()
-    record["measured"] = datetime.now(UTC).isoformat(timespec="seconds")
-    storage.save(file, network.cpu(), record)
-    return record
+    return record, surface
+
+
+def _store(
+    training: Training, surface: Any, record: dict[str, Any], out: Path, notify: Notify
+) -> None:
+    """Measure the network and write it with ``record``, to which the errors are added."""
+    notify("measuring the errors", 1.0)
+    network = training.network.eval()
+    held = Held.draw(surface, training.seed, footprints(network), device=training.device)
+    record["quality_in_single_precision"] = held.measure(network).as_dict()
+    # Twice: what is measured last is what is stored, with its textures rounded.
+    network.cpu()
+    storage.save(out, network, record)
+    record["quality"] = held.measure(storage.load(out).to(training.device)).as_dict()
+    storage.save(out, network, record)
+
+
+def _energies(training: Training, surface: Any, data: Data, steps: int, notify: Notify) -> float:
+    """The end of a training; returns the seconds of tracing."""
+    count = min(energy.CONDITIONS, energy.STEP * steps)
+    notify(f"tracing {count:,} energies", 1.0)
+    start = time.perf_counter()
+    kernel, seed = footprints(training.network), training.seed
+    known = energy.draw(surface, kernel, count, seed + _ENERGIES, training.device)
+    seconds = time.perf_counter() - start
+    energy.teach(
+        training, known, data, steps, seed + _DIRECTIONS, lambda share: notify("energies", share)
+    )
+    return seconds
 
 
 def changed(profile: Profile, changes: Sequence[str]) -> Profile:
@@ -148,12 +215,22 @@ def changed(profile: Profile, changes: Sequence[str]) -> Profile:
     return replace(profile, architecture=Architecture.of(sizes, "--set"))
 
 
-def _data(surface: Any, training: Training, profile: Profile, notify: Notify) -> tuple[Data, float]:
-    """The queries of the whole training, drawn anew after a resumption: the same ones."""
+def _data(
+    surface: Any, training: Training, profile: Profile, notify: Notify, apart: int = 0
+) -> tuple[Data, float]:
+    """The queries of the whole training, drawn anew after a resumption: the same ones.
+
+    ``apart`` from the training's seed they are others.
+    """
     notify(f"tracing {profile.queries:,} queries", 0.0)
     start = time.perf_counter()
     kernel = footprints(training.network)
     drawn = queries.draw(
-        surface, profile.queries, training.seed, kernel, profile.samples, device=training.device
+        surface,
+        profile.queries,
+        training.seed + apart,
+        kernel,
+        profile.samples,
+        device=training.device,
     )
     return Data(*drawn), time.perf_counter() - start

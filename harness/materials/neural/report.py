@@ -72,7 +72,7 @@ def detail(surfaces: list[Any], resolution: int, device: str = "cpu") -> Table:
     """A row a surface: where a texture of ``resolution``^2 misses more than 5 % of the energy."""
     found = Table(
         title=f"Too fine for {resolution}² texels",
-        caption="places where the energy in the middle of four texels is not their mean within 5 %",
+        caption="places where the mean of four texels is off by over 5 % between them",
     )
     found.add_column("surface")
     for cosine in texture_detail.COSINES:

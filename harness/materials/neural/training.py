@@ -112,7 +112,7 @@ class Training:
                 self._set_rates()
                 batch = p.final_batch if final else p.batch
                 first = int(torch.randint(len(data), (), generator=self.generator))
-                value = self._gradient(data.block(first, min(batch, len(data))))
+                value = self.gradient(data.block(first, min(batch, len(data))))
                 self.optimiser.step()
                 self.step += 1
                 if self.step % every == 0 or self.step == until:
@@ -123,8 +123,8 @@ class Training:
         finally:
             self.seconds += time.perf_counter() - start
 
-    def _gradient(self, batch: Data) -> float:
-        """The loss of a batch and its gradient, a cache's worth of rows at a time on a CPU."""
+    def gradient(self, batch: Data) -> float:
+        """The loss of a batch, and its gradient; a cache's worth of rows at a time on a CPU."""
         self.optimiser.zero_grad(set_to_none=True)
         step = _CACHED if self.device == "cpu" else len(batch)
         total = 0.0
