@@ -132,7 +132,6 @@ def glow(monkeypatch):
     monkeypatch.setattr(recipe.microgeometry, "load", lambda _: Glow())
     monkeypatch.setattr(recipe.microgeometry, "find", lambda name: name)
     monkeypatch.setattr(recipe, "read", lambda _: None)
-    monkeypatch.setattr(recipe, "_REFINING", (3, 1 << 12))
     small = replace(PROFILE, steps=20, final_steps=5)
     monkeypatch.setitem(profiles.PROFILES, "plain", small)
     monkeypatch.setitem(profiles.PROFILES, "taught", replace(small, energy_steps=4))
@@ -155,7 +154,7 @@ def test_a_profile_says_whether_energies_end_a_training(tmp_path, glow):
 def test_a_stored_material_is_refined_and_says_so(tmp_path, glow):
     file = tmp_path / "m.safetensors"
     before, hashed = recipe.train("glow", file, "plain"), storage.reflectance_hash(file)
-    found = recipe.refine(file)
+    found = recipe.refine(file, 3)
     assert found == storage.record(file) and found["refined"]["steps"] == 3
     assert found["profile"] == before["profile"] and found["seed"] == before["seed"]
     assert found["quality"] != before["quality"] and storage.reflectance_hash(file) != hashed

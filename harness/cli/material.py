@@ -102,6 +102,7 @@ def register(app: typer.Typer) -> None:
     @material.command()
     def refine(
         name: Annotated[str, typer.Argument(help="A shipped material, or a file.")],
+        steps: Annotated[int, typer.Option(min=1, help="Of Adam.")] = 800,
         device: Annotated[str, typer.Option(help="cpu or cuda.")] = "cpu",
     ) -> None:
         """Teach a stored material energies, as a training's end does; rewrites its file."""
@@ -116,6 +117,7 @@ def register(app: typer.Typer) -> None:
             task = progress.add_task("", total=1.0)
             recipe.refine(
                 file,
+                steps,
                 device,
                 lambda text, share: progress.update(task, description=text, completed=share),
             )

@@ -25,8 +25,8 @@ _RAYS, _ENERGIES, _DIRECTIONS, _AGAIN = (k << 40 for k in (4, 5, 6, 7))
 """Between a training's seed and those of its rays, its energies, what these are compared at,
 and queries drawn after it."""
 
-_REFINING = (800, 6 << 20)
-"""Steps and queries of :func:`refine`."""
+_QUERIES_A_STEP = 1 << 13
+"""That :func:`refine` traces; its steps see each of them four times."""
 
 Notify = Callable[[str, float], None]
 """``notify(what is being done, share of the whole)``."""
@@ -106,9 +106,12 @@ def train(
 
 
 def refine(
-    file: Path, device: str = "cpu", notify: Notify = lambda _text, _share: None
+    file: Path,
+    steps: int = 800,
+    device: str = "cpu",
+    notify: Notify = lambda _text, _share: None,
 ) -> dict[str, Any]:
-    """Teach a stored material energies, as the end of a training does; rewrites ``file``.
+    """Teach a stored material energies in ``steps`` steps, as a training's end; rewrites ``file``.
 
     For materials from before that was a part of trainings, or with another surface's energies
     than now. It goes on from textures in half precision, so it ends not quite as a training does.
@@ -126,8 +129,8 @@ def refine(
     training.step = training.total
     if not energy.able(surface, training.network):
         raise InputError(f"{file}: expected a material of one resolution, of a traced surface")
-    steps, count = _REFINING
-    data, seconds = _data(surface, training, replace(chosen, queries=count), notify, _AGAIN)
+    asked = replace(chosen, queries=steps * _QUERIES_A_STEP)
+    data, seconds = _data(surface, training, asked, notify, _AGAIN)
     seconds += _energies(training, surface, data, steps, notify)
     record["refined"] = {
         "steps": steps,
