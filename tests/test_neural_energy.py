@@ -154,7 +154,9 @@ def test_a_profile_says_whether_energies_end_a_training(tmp_path, glow):
 def test_a_stored_material_is_refined_and_says_so(tmp_path, glow):
     file = tmp_path / "m.safetensors"
     before, hashed = recipe.train("glow", file, "plain"), storage.reflectance_hash(file)
+    recipe.measure(file)
     found = recipe.refine(file, 3)
+    assert "quality_when_trained" not in found and "measured" not in found
     assert found == storage.record(file) and found["refined"]["steps"] == 3
     assert found["profile"] == before["profile"] and found["seed"] == before["seed"]
     assert found["quality"] != before["quality"] and storage.reflectance_hash(file) != hashed

@@ -29,7 +29,7 @@ from harness.microgeometry import queries
 from harness.streams import generator
 
 CONDITIONS = 1 << 23
-"""Whose energy is traced; a training sees a part of them, each once."""
+"""Whose energy is traced at most."""
 _PATHS = 4
 STEP = 1 << 10
 """Conditions of a step."""
@@ -109,8 +109,9 @@ def teach(
             if not math.isfinite(error):
                 raise FloatingPointError(f"loss is {error} at step {step} of the energies")
             notify(step / steps)
-    training.seconds += time.perf_counter() - start
-    return time.perf_counter() - start
+    seconds = time.perf_counter() - start
+    training.seconds += seconds
+    return seconds
 
 
 def loss(network: NeuralMBTF, known: Known, seed: int) -> Tensor:

@@ -132,6 +132,9 @@ def refine(
     asked = replace(chosen, queries=steps * _QUERIES_A_STEP)
     data, seconds = _data(surface, training, asked, notify, _AGAIN)
     seconds += _energies(training, surface, data, steps, notify)
+    # They are of the network before.
+    for key in ("quality_when_trained", "measured"):
+        record.pop(key, None)
     record["refined"] = {
         "steps": steps,
         "data_seconds": round(seconds, 2),
