@@ -166,6 +166,7 @@ class Made:
             Record("spp", 768.0, unit="1"),
             Record("bias-z", 12.3 if p < 0.01 else 0.4, unit="1"),
             Record("bias-p", p, unit="1"),
+            Record("first-bias-p", 1e-9 if p < 0.01 else p, unit="1"),
         ]
         arrays = {"batch_variance": np.full(12, variance)}
         return Outcome(records=records, arrays=arrays, images={"mean": np.maximum(image, 0)})

@@ -250,3 +250,17 @@ def test_held_out_is_held_out():
         for y in drawn:
             if x is not y:
                 assert not torch.isin(x[:, 0], y[:, 0]).float().mean() > 0.01
+
+
+def test_numbers_of_a_training_are_changed_by_name():
+    deep = profiles.profile("deep")
+    found = recipe.changed(deep, ["energy_steps=2400", "blur=1", "channels=4"])
+    assert (found.energy_steps, found.blur, found.architecture.channels) == (2400, 1.0, 4)
+    assert recipe.changed(found, [f"energy_steps={deep.energy_steps}", "channels=8"]) == replace(
+        deep, blur=1.0, architecture=replace(deep.architecture, channels=8)
+    )
+    for wrong in ("energy_steps=2.5", "steps=true", "steps=-1", "blur=wide", "steps"):
+        with pytest.raises(InputError, match=f"--set {wrong}: expected"):
+            recipe.changed(deep, [wrong])
+    with pytest.raises(InputError, match="did you mean 'channels'"):
+        recipe.changed(deep, ["chanels=4"])

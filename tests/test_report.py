@@ -18,8 +18,9 @@ import numpy as np
 import pytest
 from rich.console import Console
 
+from harness import report as reports
 from harness.protocol import InputError
-from harness.report import make, names, numbers, print_tables
+from harness.report import names, numbers
 from harness.report.combine import (
     Estimate,
     arithmetic_mean,
@@ -64,7 +65,7 @@ def failing(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def printed(folder: Path, width: int = 120) -> str:
     out = io.StringIO()
-    print_tables(folder, Console(file=out, width=width, force_terminal=False))
+    reports.load(folder).print(Console(file=out, width=width, force_terminal=False))
     return out.getvalue()
 
 
@@ -251,6 +252,7 @@ def test_bias_is_corrected_over_the_whole_table(failing: Path):
     cell = cell_of(table, "elephant-hide", "fan-baseline")
     assert cell.parts[0] == "<0.001" and "z = 12.3" in cell.warning
     assert f"1 of {len(corrected)}" in table.caption
+    assert "1 differed at first, and has the p-value of new renders" in table.caption
 
 
 def test_pdf_sections_and_shares_without_contest(failing: Path):
@@ -350,7 +352,7 @@ def test_everything_failed(tmp_path: Path):
         tmp_path
     )
     said: list[str] = []
-    files = make(folder, said.append)
+    files = reports.load(folder).write(said.append)
     assert files[0].name == "index.html"
     assert "†1" in printed(folder)
     assert any("figure images" in message for message in said)
@@ -386,7 +388,7 @@ def test_latex_escapes_everything():
 
 @pytest.mark.skipif(shutil.which("pdflatex") is None, reason="needs pdflatex")
 def test_latex_compiles(failing: Path, tmp_path: Path):
-    make(failing)
+    reports.load(failing).write()
     (tmp_path / "weird.tex").write_text(latex(weird_table()), encoding="utf-8")
     tables = [*sorted((failing / "report").glob("*.tex")), tmp_path / "weird.tex"]
     inputs = "\n".join(rf"\input{{{path}}}\clearpage" for path in tables)
@@ -592,7 +594,7 @@ def test_infinite_divergence_is_named_not_drawn(failing: Path, tmp_path: Path):
 
 def test_make_writes_a_page_whose_links_lead_somewhere(failing: Path):
     said: list[str] = []
-    files = make(failing, said.append)
+    files = reports.load(failing).write(said.append)
     report = failing / "report"
     assert files[0] == report / "index.html" and all(path.is_file() for path in files)
     for name in ("table2", "equal-spp", "pdf", "bias", "timing", "status"):
@@ -616,18 +618,18 @@ def test_make_writes_a_page_whose_links_lead_somewhere(failing: Path):
 
 def test_a_report_made_again_is_the_same(tmp_path: Path):
     folder = Made(materials=["suede"], methods=["cosine", "improved-baseline"]).write(tmp_path)
-    first = {path: path.read_bytes() for path in make(folder)}
-    second = {path: path.read_bytes() for path in make(folder)}
+    first = {path: path.read_bytes() for path in reports.load(folder).write()}
+    second = {path: path.read_bytes() for path in reports.load(folder).write()}
     assert first == second
 
 
 def test_stale_files_go_others_stay(tmp_path: Path):
     folder = Made(materials=["suede"]).write(tmp_path)
-    before = make(folder)
+    before = reports.load(folder).write()
     mine = folder / "report" / "notes.txt"
     mine.write_text("mine", encoding="utf-8")
     Made(materials=["suede"], measures=("fit",)).write(folder)
-    after = make(folder)
+    after = reports.load(folder).write()
     gone = set(before) - set(after)
     assert gone and not any(path.exists() for path in gone)
     assert mine.read_text(encoding="utf-8") == "mine"
@@ -636,7 +638,7 @@ def test_stale_files_go_others_stay(tmp_path: Path):
 def test_the_suite_chooses(tmp_path: Path):
     report = {"tables": ["pdf"], "figures": ["slices"]}
     folder = Made(materials=["suede"], report=report).write(tmp_path)
-    written = {path.stem for path in make(folder)}
+    written = {path.stem for path in reports.load(folder).write()}
     assert written == {"index", "pdf", "status", "slices"}
 
 
@@ -645,12 +647,12 @@ def test_unknown_names_are_refused(tmp_path: Path):
         tmp_path
     )
     with pytest.raises(InputError, match="did you mean 'table2'"):
-        print_tables(folder, Console(file=io.StringIO()))
+        reports.load(folder).print(Console(file=io.StringIO()))
 
 
 def test_no_results_is_refused(tmp_path: Path):
     with pytest.raises(InputError, match="holds no results"):
-        make(tmp_path)
+        reports.load(tmp_path).write()
 
 
 def test_names_are_those_of_the_registries():
@@ -662,7 +664,7 @@ def test_odd_names_pass_through_everything(tmp_path: Path):
     folder = Made(
         materials=[WEIRD], methods=["cosine", "improved-baseline", WEIRD], title=WEIRD, size=24
     ).write(tmp_path)
-    files = make(folder)
+    files = reports.load(folder).write()
     assert all(path.is_relative_to(folder / "report") for path in files)
     Balanced().feed(files[0].read_text("utf-8"))
     assert WEIRD in printed(folder)
@@ -682,5 +684,5 @@ def test_the_report_imports_nothing_that_measures():
 @pytest.mark.slow
 def test_twelve_by_eleven(tmp_path: Path):
     folder = Made(materials=MATERIALS, methods=list(METHODS)).write(tmp_path)
-    files = make(folder)
+    files = reports.load(folder).write()
     assert len([path for path in files if path.name.startswith("images-")]) == 12

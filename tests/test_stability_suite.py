@@ -18,6 +18,7 @@ from matplotlib.patches import Rectangle
 from rich.console import Console
 
 from harness import load_results, store
+from harness import report as reports
 from harness.check.catalogue import CATALOGUE
 from harness.check.finding import Finding
 from harness.check.run import CASE_ALARM, FALSE_ALARM
@@ -26,7 +27,7 @@ from harness.measures import registry as measures
 from harness.measures import stability
 from harness.measures.base import Outcome, Record
 from harness.protocol import Budget, InputError, Unsupported
-from harness.report import make, print_tables, verdicts
+from harness.report import verdicts
 from harness.report.figures import FIGURES, Canvas
 from harness.report.figures.heatmap import _FACE
 from harness.report.formats.csv import csv as as_csv
@@ -206,7 +207,11 @@ def test_a_run_gives_a_verdict_on_a_real_case(tmp_path: Path):
     # Cosine is exact for a constant reflectance: every weight is the same.
     efficiency = frame[frame["metric"] == f"{names[0]}/efficiency"]["value"]
     assert efficiency.item() == pytest.approx(1.0, abs=1e-5)
-    assert {path.stem for path in make(tmp_path / "out")} >= {"index", "stability", "heatmap"}
+    assert {path.stem for path in reports.load(tmp_path / "out").write()} >= {
+        "index",
+        "stability",
+        "heatmap",
+    }
 
 
 # --- the report ----------------------------------------------------------------------------------
@@ -380,7 +385,7 @@ def test_every_format_tells_them_apart(folder: Path):
 
 def test_the_console_prints_reasons(folder: Path):
     out = io.StringIO()
-    print_tables(folder, Console(file=out, width=120))
+    reports.load(folder).print(Console(file=out, width=120))
     text = out.getvalue()
     assert "eff 0.31 %" in text and "samples-pdf of it" in text and "fit error: it burned" in text
 

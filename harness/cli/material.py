@@ -25,7 +25,8 @@ def register(app: typer.Typer) -> None:
         set_: Annotated[
             list[str] | None,
             typer.Option(
-                "--set", help="A size of the network, such as offset=false or channels=4."
+                "--set",
+                help="A size of the network or of the training: offset=false, steps=9000, ...",
             ),
         ] = None,
         seed: Annotated[int, typer.Option(help="Of the weights, the queries and the batches.")] = 0,

@@ -27,7 +27,8 @@ def register(app: typer.Typer) -> None:
             raise InputError(f"no such folder: {results_dir}{nearest(results_dir.name, beside)}")
         store.load_plan(results_dir)  # says so if the folder holds no results
         console = Console(highlight=False)
-        files = reports.make(results_dir, lambda text: console.print(text, soft_wrap=True))
-        reports.print_tables(results_dir, console)
+        loaded = reports.load(results_dir)
+        files = loaded.write(lambda text: console.print(text, soft_wrap=True))
+        loaded.print(console)
         for file in files:
             console.print(str(file), soft_wrap=True)

@@ -52,7 +52,8 @@ def run_and_report(plan: Plan, results: Path, options: Options) -> int:
     if not options.dry_run and status != INTERRUPTED:
         from harness import report
 
-        files = report.make(results)
-        report.print_tables(results, console)
+        loaded = report.load(results)
+        files = loaded.write()
+        loaded.print(console)
         console.print(f"report: {files[0]}", soft_wrap=True)
     return status

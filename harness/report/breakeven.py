@@ -76,7 +76,7 @@ def costs(results: Results, material: str, scene: str, shipped: bool = False) ->
     rounds for all methods, so that drift that hits all alike cancels in their ratios.
     """
     reference = results.baseline
-    found = {m.label: _log_cost(results, material, m.label, scene) for m in results.methods}
+    found = {m.label: results.once(_log_cost, material, m.label, scene) for m in results.methods}
     base = found.get(reference, "no such method in the suite")
     if isinstance(base, str):
         return f"{reference or 'the baseline'} on {material} in {scene}: {base}"

@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import pandas as pd
 
 from harness.report.combine import Estimate, over_seeds
 from harness.store import Stored, load_plan, load_results, load_trial
+
+T = TypeVar("T")
 
 NO_TRIAL = "not planned: the suite has no such trial"
 CEILING = "tabulated"
@@ -165,7 +168,17 @@ class Results:
             return "".join(map(str, lengths))
         return f"{min(lengths)} to {max(lengths)}"
 
+    def once(self, function: Callable[..., T], *at: str) -> T:
+        """``function(self, *at)``, asked for once: table and figure draw the same resamples."""
+        if (function, at) not in self._made:
+            self._made[function, at] = function(self, *at)
+        return self._made[function, at]
+
     # --- inside ------------------------------------------------------------------------------
+
+    @cached_property
+    def _made(self) -> dict[tuple[Callable, tuple[str, ...]], Any]:
+        return {}
 
     @cached_property
     def _opened(self) -> dict[str, Stored]:

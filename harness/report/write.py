@@ -1,8 +1,9 @@
-"""Writes a results folder's report, and prints its tables."""
+"""A results folder's report: written, and printed."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 
 from rich.console import Console
@@ -20,47 +21,62 @@ _LIST = "files.txt"
 _FORMATS = {"md": markdown, "csv": csv, "tex": latex}
 
 
-def write(folder: Path, notify: Callable[[str], None]) -> list[Path]:
-    """All of ``report/``. Files of an earlier report that are no longer made are removed."""
-    # Figures take matplotlib, which printing tables does not.
-    from harness.report.figures import FIGURES, Canvas
-    from harness.report.page import Page, page
+@dataclass(frozen=True)
+class Report:
+    """A results folder's report: its tables, and why others are left out, made once."""
 
-    results = Results.load(folder)
-    figure_names = _names(results, "figures", FIGURES)
-    tables, skipped = _tables(results)
-    report = folder / "report"
-    report.mkdir(exist_ok=True)
-    written = []
-    for table in tables:
-        for end, form in _FORMATS.items():
-            written.append(report / f"{table.name}.{end}")
-            written[-1].write_text(form(table), encoding="utf-8")
-    canvas = Canvas(report / "figures")
-    for name in figure_names:
-        notify(f"figure {name}")
-        drawn = FIGURES[name](results, canvas)
-        if isinstance(drawn, str):
-            skipped.append(f"figure {name}: {drawn}")
-    written += [path for figure in canvas.drawn for path in figure.files]
-    index = report / "index.html"
-    index.write_text(page(Page(results, tables, canvas.drawn, skipped)), encoding="utf-8")
-    written.insert(0, index)
-    for message in skipped:
-        notify(f"left out: {message}")
-    _forget_old(report, written)
-    return written
+    results: Results
+    tables: list[Table]
+    skipped: list[str]
 
+    @classmethod
+    def of(cls, folder: Path) -> Report:
+        """The tables that the folder's suite asks for."""
+        results = Results.load(folder)
+        return cls(results, *_tables(results))
 
-def print_all(folder: Path, console: Console) -> None:
-    """The suite's tables, and whatever failed, whether the suite asks for it or not."""
-    results = Results.load(folder)
-    tables, skipped = _tables(results)
-    said: set[str] = set()
-    for table in tables:
-        print_table(table, console, said)
-    for message in skipped:
-        console.print(f"left out: {message}", style="dim", markup=False)
+    def write(self, notify: Callable[[str], None] = lambda message: None) -> list[Path]:
+        """All of ``report/``, the page first, and figures too.
+
+        Files of an earlier report that are no longer made are removed. ``notify`` is told what is
+        left out and why.
+        """
+        # Figures take matplotlib, which printing tables does not.
+        from harness.report.figures import FIGURES, Canvas
+        from harness.report.page import Page, page
+
+        figure_names = _names(self.results, "figures", FIGURES)
+        skipped = list(self.skipped)
+        report = self.results.folder / "report"
+        report.mkdir(exist_ok=True)
+        written = []
+        for table in self.tables:
+            for end, form in _FORMATS.items():
+                written.append(report / f"{table.name}.{end}")
+                written[-1].write_text(form(table), encoding="utf-8")
+        canvas = Canvas(report / "figures")
+        for name in figure_names:
+            notify(f"figure {name}")
+            drawn = FIGURES[name](self.results, canvas)
+            if isinstance(drawn, str):
+                skipped.append(f"figure {name}: {drawn}")
+        written += [path for figure in canvas.drawn for path in figure.files]
+        index = report / "index.html"
+        shown = Page(self.results, self.tables, canvas.drawn, skipped)
+        index.write_text(page(shown), encoding="utf-8")
+        written.insert(0, index)
+        for message in skipped:
+            notify(f"left out: {message}")
+        _forget_old(report, written)
+        return written
+
+    def print(self, console: Console) -> None:
+        """The tables, fitted to the width of ``console``, and whatever failed."""
+        said: set[str] = set()
+        for table in self.tables:
+            print_table(table, console, said)
+        for message in self.skipped:
+            console.print(f"left out: {message}", style="dim", markup=False)
 
 
 def _tables(results: Results) -> tuple[list[Table], list[str]]:

@@ -45,8 +45,8 @@ def train(
     """Train the material of a description and store it as ``out``; returns its record.
 
     An interrupted training leaves ``out`` with the suffix ``.train`` beside it, from which
-    ``resume`` goes on; a finished one removes it. ``changes`` are sizes of the network that
-    differ from the profile's, as ``KEY=VALUE``.
+    ``resume`` goes on; a finished one removes it. ``changes`` are sizes of the network
+    and numbers of the profile that differ, as ``KEY=VALUE``.
 
     Raises:
         InputError: no such description, profile or file to resume from.
@@ -208,17 +208,25 @@ def _energies(training: Training, surface: Any, data: Data, steps: int, notify: 
 
 
 def changed(profile: Profile, changes: Sequence[str]) -> Profile:
-    """The profile with sizes of its network replaced, given as ``KEY=VALUE``."""
-    sizes = profile.architecture.as_dict()
+    """The profile with numbers of its own or sizes of its network replaced, as ``KEY=VALUE``."""
+    sizes, own = profile.architecture.as_dict(), {}
+    numbers = {key for key, value in vars(profile).items() if isinstance(value, int | float)}
     for change in changes:
         key, equals, text = change.partition("=")
         if not equals:
             raise InputError(f"--set {change}: expected KEY=VALUE")
         try:
-            sizes[key] = json.loads(text)
+            value = json.loads(text)
         except ValueError:
-            sizes[key] = text
-    return replace(profile, architecture=Architecture.of(sizes, "--set"))
+            value = text
+        if key not in numbers:
+            sizes[key] = value
+            continue
+        kind = type(getattr(profile, key))
+        if isinstance(value, bool) or not isinstance(value, kind | int) or value < 0:
+            raise InputError(f"--set {change}: expected {kind.__name__} of at least 0")
+        own[key] = kind(value)
+    return replace(profile, architecture=Architecture.of(sizes, "--set"), **own)
 
 
 def _data(

@@ -130,7 +130,9 @@ def _guide(panel: Axes, drawn: list[tuple[np.ndarray, np.ndarray]]) -> None:
     at = np.array([low, high])
     constant = np.nanmedian(np.concatenate([x * y for x, y in drawn]))
     for factor in 10.0 ** np.arange(-6, 7):
-        panel.plot(at, constant * factor / at, color="#cccccc", lw=0.8, zorder=0.5)
+        line = constant * factor / at
+        if line.max() > bottom and line.min() < top:
+            panel.plot(at, line, color="#cccccc", lw=0.8, zorder=0.5)
     panel.set_xlim(low, high)
     panel.set_ylim(bottom, top)
 

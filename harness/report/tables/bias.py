@@ -40,7 +40,8 @@ def bias(results: Results) -> Table | str:
             "p-value of the test of the method's mean image against a long render with light "
             "sampling, by Mitsuba's own sampler (the cosine's for a material without one), after "
             f"Holm's correction over the {len(corrected)} tests of this table. Below {LEVEL:g} "
-            f"the method is biased (‡): {found or 'none'} of {len(corrected)}. {said}"
+            f"the method is biased (‡): {found or 'none'} of {len(corrected)}. "
+            f"{_looked_again(results)}{said}"
         ).strip(),
         corner="material",
         columns=[method.label for method in results.methods],
@@ -72,6 +73,20 @@ def bias_warnings(results: Results) -> Callable[[str, str, str], str]:
         )
 
     return warning
+
+
+def _looked_again(results: Results) -> str:
+    rows = results.frame[results.frame["measure"] == MEASURE]
+    metrics = rows.pivot_table(index="trial", columns="metric", values="value")
+    if not {"bias-p", "first-bias-p"} <= set(metrics.columns):
+        return ""
+    again = int((metrics["first-bias-p"] != metrics["bias-p"]).sum())
+    if not again:
+        return ""
+    return (
+        f"{again} differed at first, and {'have' if again > 1 else 'has'} the p-value of new "
+        "renders with several times the samples: few may miss what rare heavy ones carry. "
+    )
 
 
 def _cell(
