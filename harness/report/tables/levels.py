@@ -52,8 +52,8 @@ def levels(results: Results) -> Table | str:
         title="Neural materials across levels of detail",
         caption=(
             "A plane of each material against its path-traced microgeometry; at level l a pixel "
-            "is 2^l texels of the finest texture wide. Means over views, with 95 % intervals; the "
-            "truth's noise is taken off the MSE. SSIM: higher is better."
+            "is 2^l texels of the finest texture wide. MSE is the median of the views, the truth's "
+            "noise taken off; FLIP and SSIM are means; with 95 % intervals. SSIM: higher is better."
         ),
         corner="material",
         columns=[f"level {i}" for i in range(max(count, 1))],
