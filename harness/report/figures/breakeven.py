@@ -15,6 +15,8 @@ from harness.report.figures.canvas import Canvas, Drawn, grid_shape, log_ticks, 
 from harness.report.figures.palette import Look, looks
 from harness.report.results import Results
 
+_BEYOND = 3
+"""By what factor a panel reaches beyond its lines."""
 _POINTS = 60
 _RANGE = (1e5, 1e9)
 """Samples shown in any case; wider where crossings lie outside."""
@@ -92,11 +94,12 @@ def _panel(panel: Axes, found: Costs, look: dict[str, Look]) -> None:
     inside = [at for at in crossings.values() if 0 < at < math.inf]
     low, high = min([_RANGE[0], *inside]) / 2, max([_RANGE[1], *inside]) * 2
     samples = np.geomspace(low, high, _POINTS)
+    curves = {label: line.fixed[0] + samples * line.slope[0] for label, line in found.lines.items()}
     for label, line in found.lines.items():
         style = look[label]
         zorder = 2 if line.method.ceiling else 3
         panel.plot(
-            samples, line.fixed[0] + samples * line.slope[0],
+            samples, curves[label],
             color=style.colour, ls=style.dash, lw=1.1, zorder=zorder,
         )  # fmt: skip
         panel.fill_between(samples, *_band(line, samples), color=style.colour, alpha=0.15, lw=0)
@@ -107,6 +110,10 @@ def _panel(panel: Axes, found: Costs, look: dict[str, Look]) -> None:
                 mec=look[label].colour, zorder=4,
             )  # fmt: skip
     panel.set_xlim(low, high)
+    drawn = np.concatenate([*curves.values()] or [np.ones(1)])
+    drawn = drawn[np.isfinite(drawn) & (drawn > 0)]
+    # A band of a variance that is hardly known spans decades: it leaves the panel.
+    panel.set_ylim(drawn.min() / _BEYOND, drawn.max() * _BEYOND)
     log_ticks(panel)
     for axis in (panel.xaxis, panel.yaxis):
         # Many decades: powers of ten are shorter than numbers.
