@@ -259,7 +259,7 @@ def test_numbers_of_a_training_are_changed_by_name():
     assert recipe.changed(found, [f"energy_steps={deep.energy_steps}", "channels=8"]) == replace(
         deep, blur=1.0, architecture=replace(deep.architecture, channels=8)
     )
-    for wrong in ("energy_steps=2.5", "steps=true", "steps=-1", "blur=wide", "steps"):
+    for wrong in ("energy_steps=2.5", "steps=true", "steps=-1", "blur=wide", "steps", "blur=NaN"):
         with pytest.raises(InputError, match=f"--set {wrong}: expected"):
             recipe.changed(deep, [wrong])
     with pytest.raises(InputError, match="did you mean 'channels'"):

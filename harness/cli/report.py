@@ -19,13 +19,11 @@ def register(app: typer.Typer) -> None:
         from rich.console import Console
 
         from harness import report as reports
-        from harness import store
         from harness.protocol import InputError, nearest
 
         if not results_dir.is_dir():
             beside = [p.parent.name for p in results_dir.parent.glob("*/plan.json")]
             raise InputError(f"no such folder: {results_dir}{nearest(results_dir.name, beside)}")
-        store.load_plan(results_dir)  # says so if the folder holds no results
         console = Console(highlight=False)
         loaded = reports.load(results_dir)
         files = loaded.write(lambda text: console.print(text, soft_wrap=True))

@@ -58,7 +58,7 @@ def write(
 
 
 def draw(surface: Any, answer: Any, size: int, spp: int, device: str) -> list[Tensor]:
-    """The six pictures [H, W, 3] by one answer; slices are log(1 + f), nan off the disk."""
+    """The six pictures [H, W, 3] by one answer; slices are log(1 + f), and white off the disk."""
     found = [
         shots.develop(shots.sphere_shots(size, spp=8, dome=1.0), answer(1)),
         shots.develop(shots.plane_shots(size), answer(spp)),
@@ -74,7 +74,7 @@ def draw(surface: Any, answer: Any, size: int, spp: int, device: str) -> list[Te
         u = torch.tensor(place).expand(n, 2).contiguous()
         kernel = torch.full((n,), 0.5 / 128)
         f = answer(spp)(u, kernel, torch.tensor(wi).expand(n, 2).contiguous(), wo[inside])
-        image = torch.full((side * side, 3), torch.nan)
+        image = torch.full((side * side, 3), torch.inf)  # brighter than any peak: white
         image[inside] = f.cpu().log1p()
         found.append(image.view(side, side, 3))
     return found
@@ -109,7 +109,8 @@ def _figure(rows: list[list[Tensor]], name: str) -> Any:
     titles = ["sphere", "plane", "plane, from the side"] + [
         f"slice over wo, wi = ({wi[0]:g}, {wi[1]:g})" for _, wi in SLICES
     ]
-    peaks = [None] * 3 + [float(np.nanpercentile(image, 99.5)) for image in rows[0][3:]]
+    slices = (image.numpy() for image in rows[0][3:])
+    peaks = [None] * 3 + [float(np.percentile(s[np.isfinite(s)], 99.5)) for s in slices]
     for line, images, label in zip(axes, rows, ("path-traced", "neural"), strict=True):
         for axis, image, peak, title in zip(line, images, peaks, titles, strict=True):
             axis.imshow(_display(image.numpy(), peak))
@@ -122,5 +123,4 @@ def _figure(rows: list[list[Tensor]], name: str) -> Any:
 
 def _display(image: np.ndarray, peak: float | None) -> np.ndarray:
     """For a screen, in sRGB: over ``peak``, where that is known; else highlights rolled off."""
-    x = image / (1 + 0.15 * image) if peak is None else np.nan_to_num(image / peak, nan=1)
-    return np.where(x <= 0.0031308, 12.92 * x, 1.055 * x.clip(1e-9) ** (1 / 2.4) - 0.055).clip(0, 1)
+    return shots.srgb(image / (1 + 0.15 * image) if peak is None else image / peak)

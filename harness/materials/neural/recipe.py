@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, fields, replace
@@ -223,7 +224,8 @@ def changed(profile: Profile, changes: Sequence[str]) -> Profile:
             sizes[key] = value
             continue
         kind = type(getattr(profile, key))
-        if isinstance(value, bool) or not isinstance(value, kind | int) or value < 0:
+        right = isinstance(value, kind | int) and not isinstance(value, bool)
+        if not right or not 0 <= value < math.inf:
             raise InputError(f"--set {change}: expected {kind.__name__} of at least 0")
         own[key] = kind(value)
     return replace(profile, architecture=Architecture.of(sizes, "--set"), **own)

@@ -110,10 +110,10 @@ def _panel(panel: Axes, found: Costs, look: dict[str, Look]) -> None:
                 mec=look[label].colour, zorder=4,
             )  # fmt: skip
     panel.set_xlim(low, high)
-    drawn = np.concatenate([*curves.values()] or [np.ones(1)])
-    drawn = drawn[np.isfinite(drawn) & (drawn > 0)]
-    # A band of a variance that is hardly known spans decades: it leaves the panel.
-    panel.set_ylim(drawn.min() / _BEYOND, drawn.max() * _BEYOND)
+    if curves:
+        # A band of a variance that is hardly known spans decades: it leaves the panel.
+        drawn = np.stack([*curves.values()])
+        panel.set_ylim(drawn.min() / _BEYOND, drawn.max() * _BEYOND)
     log_ticks(panel)
     for axis in (panel.xaxis, panel.yaxis):
         # Many decades: powers of ten are shorter than numbers.

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import numpy as np
 from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
 from harness.report.figures.canvas import Canvas, Drawn, picture, sheet, styled
+from harness.report.figures.rendered import exposure, srgb
 from harness.report.results import Results
 from harness.report.tables.effects import MEASURE, Rows, effects_of, trials, verdict
 
-_LUMINANCE = np.array([0.212671, 0.715160, 0.072169])
 _CELL, _LABEL, _UNDER = 1.9, 0.2, 0.3
 """Inches: width of a picture, heights of its label and of the words below."""
 _ACROSS = 5
@@ -37,8 +36,7 @@ def _figure(
     scene, material, method = names
     full = images["full"]
     shown = [name for name in effects_of(rows) if name in images]
-    bright = float(np.quantile(full @ _LUMINANCE, 0.99))
-    scale = 1 / bright if bright > 0 else 1.0
+    scale = exposure(full)
     tall = _CELL * full.shape[0] / full.shape[1]
     across = min(1 + len(shown), _ACROSS)
     lines = -(-(1 + len(shown)) // across)
@@ -75,7 +73,7 @@ def _panel(
     title = "as called for" if not name else f"with {name}" if word in _LACKED else f"no {name}"
     axes.text(middle, top + 0.03, title, ha="center", va="bottom", fontsize=8)
     box = (x + gap, top - tall + gap, _CELL - 2 * gap, tall - 2 * gap)
-    picture(axes, _srgb(images[name or "full"] * scale), box)
+    picture(axes, srgb(images[name or "full"], scale), box)
     seconds = rows["seconds-per-spp"]["value"]
     if not name:
         said = f"{1e3 * seconds:.3g} ms/spp"
@@ -92,9 +90,3 @@ def _panel(
 
 
 _LACKED = ("missing", "not needed")
-
-
-def _srgb(linear: NDArray) -> NDArray:
-    """Display values in [0, 1]; what is brighter than white is shown white."""
-    x = np.clip(linear, 0.0, 1.0)
-    return np.where(x <= 0.0031308, 12.92 * x, 1.055 * np.power(x, 1 / 2.4) - 0.055)

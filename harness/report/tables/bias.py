@@ -80,7 +80,8 @@ def _looked_again(results: Results) -> str:
     metrics = rows.pivot_table(index="trial", columns="metric", values="value")
     if not {"bias-p", "first-bias-p"} <= set(metrics.columns):
         return ""
-    again = int((metrics["first-bias-p"] != metrics["bias-p"]).sum())
+    both = metrics.dropna(subset=["bias-p", "first-bias-p"])
+    again = int((both["first-bias-p"] != both["bias-p"]).sum())
     if not again:
         return ""
     return (
