@@ -10,13 +10,17 @@ import drjit as dr
 import torch
 from torch import Tensor, nn
 
-from harness.columns import ColumnMethod, Columns, Float
-from harness.fitting import ModuleMethod, Targets
+from harness.core.columns.bridge import Columns, Float
+from harness.core.columns.method import ColumnMethod
+from harness.core.protocol.material import Material
+from harness.core.protocol.method import Budget, Knob
+from harness.fitting.module_method import ModuleMethod
 from harness.fitting.precision import PRECISIONS, checked_precision
-from harness.nets import MLP, ConditionEncoder
+from harness.fitting.targets import Targets
+from harness.nets.encoding import ConditionEncoder
 from harness.nets.extremes import FAR, held
 from harness.nets.lobes import log_weight, weight_columns
-from harness.protocol import Budget, Knob, Material
+from harness.nets.mlp import MLP
 
 _LOG_EXPONENT_RANGE = 14.0
 _OFF_RIM = 1 - 1e-6

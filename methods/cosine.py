@@ -6,7 +6,8 @@ import math
 
 import drjit as dr
 
-from harness.columns import ColumnMethod, Columns, Float
+from harness.core.columns.bridge import Columns, Float
+from harness.core.columns.method import ColumnMethod
 
 
 class Cosine(ColumnMethod):

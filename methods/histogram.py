@@ -8,12 +8,15 @@ from typing import ClassVar
 import torch
 from torch import Tensor, nn
 
-from harness.fitting import ModuleMethod, Targets
+from harness.core.protocol.errors import InputError
+from harness.core.protocol.material import Material
+from harness.core.protocol.method import Budget, DiskSample, Knob
+from harness.fitting.module_method import ModuleMethod
 from harness.fitting.precision import PRECISIONS, checked_precision
-from harness.nets import ConditionalMLP
+from harness.fitting.targets import Targets
+from harness.nets.conditional import ConditionalMLP
 from harness.nets.mlp import split_rows
 from harness.nets.squares import Squares
-from harness.protocol import Budget, DiskSample, InputError, Knob, Material
 
 LOSSES = ("mse", "kl")
 _CHUNK = {"cpu": 1024}

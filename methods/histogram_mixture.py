@@ -10,16 +10,20 @@ import drjit as dr
 import torch
 from torch import Tensor, nn
 
-from harness.columns import ColumnMethod, Columns, Float
-from harness.fitting import ModuleMethod, Targets
+from harness.core.columns.bridge import Columns, Float
+from harness.core.columns.method import ColumnMethod
+from harness.core.protocol.errors import InputError
+from harness.core.protocol.material import Material
+from harness.core.protocol.method import Budget, FitReport, Knob
+from harness.fitting.module_method import ModuleMethod
 from harness.fitting.precision import PRECISIONS, checked_precision
-from harness.nets import ConditionalMLP
+from harness.fitting.targets import Targets
 from harness.nets.alias import AliasTables
 from harness.nets.basis import BasisHistograms, Volume
+from harness.nets.conditional import ConditionalMLP
 from harness.nets.extremes import FAR, held
 from harness.nets.lobes import softmax_columns
 from harness.nets.squares import Squares
-from harness.protocol import Budget, FitReport, InputError, Knob, Material
 
 LOSSES = ("mse", "kl")
 ROTATIONS = ("azimuth", "free")

@@ -10,15 +10,18 @@ import drjit as dr
 import torch
 from torch import Tensor, nn
 
-from harness.columns import Columns, Float
+from harness.core.columns.bridge import Columns, Float
+from harness.core.protocol.errors import InputError
+from harness.core.protocol.material import Material
+from harness.core.protocol.method import Budget, Knob
 from harness.fitting.precision import PRECISIONS, checked_precision
 from harness.importance_maps.baked_method import BakedMethod
 from harness.importance_maps.database import Maps
 from harness.importance_maps.training import MapBatches
-from harness.nets import ConditionEncoder, defensive, spline
+from harness.nets import defensive, spline
 from harness.nets.coupling import CouplingNet
+from harness.nets.encoding import ConditionEncoder
 from harness.nets.extremes import FAR, held
-from harness.protocol import Budget, InputError, Knob, Material
 
 SUPERVISIONS = ("both", "likelihood", "map")
 _AREA = 4.0

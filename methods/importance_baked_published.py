@@ -8,13 +8,15 @@ import drjit as dr
 import torch
 from torch import Tensor, nn
 
-from harness.columns import Columns, Float, columns_of, tensor_of
+from harness.core.columns.bridge import Columns, Float, columns_of, tensor_of
+from harness.core.protocol.errors import InputError
+from harness.core.protocol.material import Material
+from harness.core.protocol.method import Budget, Knob, Method
 from harness.importance_maps.baked_method import BakedMethod
 from harness.importance_maps.database import Maps
 from harness.importance_maps.training import MapBatches
-from harness.nets import MLP
 from harness.nets.blobs import TableEncoder
-from harness.protocol import Budget, InputError, Knob, Material, Method
+from harness.nets.mlp import MLP
 
 _LAMBDA = 0.4
 """Of the weight's loss beside the direction's, the paper's section 5.2."""

@@ -8,9 +8,9 @@ import drjit as dr
 import torch
 from torch import Tensor
 
-from harness.columns import Columns, Float, columns_of, tensor_of
+from harness.core.columns.bridge import Columns, Float, columns_of, tensor_of
+from harness.core.protocol.method import Method
 from harness.nets.tangents import with_tangents
-from harness.protocol import Method
 from methods.importance_baked_published import ImportanceBakedPublished
 
 

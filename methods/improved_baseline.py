@@ -6,11 +6,13 @@ from typing import ClassVar
 
 from torch import Tensor, nn
 
-from harness.columns import Columns
-from harness.fitting import LobeMethod
+from harness.core.columns.bridge import Columns
+from harness.core.protocol.material import Material
+from harness.core.protocol.method import Knob
+from harness.fitting.lobe_method import LobeMethod
 from harness.fitting.precision import PRECISIONS, checked_precision
-from harness.nets import ConditionalMLP, lobes
-from harness.protocol import Knob, Material
+from harness.nets import lobes
+from harness.nets.conditional import ConditionalMLP
 
 
 class ImprovedBaseline(LobeMethod):

@@ -8,13 +8,17 @@ import drjit as dr
 import torch
 from torch import Tensor, nn
 
-from harness.columns import Columns, Float
-from harness.fitting import FlowMethod
+from harness.core.columns.bridge import Columns, Float
+from harness.core.protocol.errors import InputError
+from harness.core.protocol.material import Material
+from harness.core.protocol.method import Knob
+from harness.fitting.flow_method import FlowMethod
 from harness.fitting.precision import PRECISIONS, checked_precision
-from harness.nets import MLP, ConditionEncoder, defensive, lobes, spline
+from harness.nets import defensive, lobes, spline
 from harness.nets.coupling import CouplingNet, unit_normal_columns
+from harness.nets.encoding import ConditionEncoder
 from harness.nets.extremes import FAR, held
-from harness.protocol import InputError, Knob, Material
+from harness.nets.mlp import MLP
 
 _START = -0.7
 """Log sigma of the base before fitting: half the disk's radius, broad but mostly inside."""

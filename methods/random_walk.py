@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from typing import Any
 
-from harness.columns import ColumnMethod, Columns, Float
-from harness.protocol import Material, Unsupported
+from harness.core.columns.bridge import Columns, Float
+from harness.core.columns.method import ColumnMethod
+from harness.core.protocol.errors import Unsupported
+from harness.core.protocol.material import Material
 
 
 class RandomWalk(ColumnMethod):

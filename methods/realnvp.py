@@ -8,13 +8,16 @@ import drjit as dr
 import torch
 from torch import Tensor, nn
 
-from harness.columns import Columns, Float
-from harness.fitting import FlowMethod
+from harness.core.columns.bridge import Columns, Float
+from harness.core.protocol.errors import InputError
+from harness.core.protocol.material import Material
+from harness.core.protocol.method import Knob
+from harness.fitting.flow_method import FlowMethod
 from harness.fitting.precision import PRECISIONS, checked_precision
-from harness.nets import ConditionEncoder, defensive, lobes
+from harness.nets import defensive, lobes
 from harness.nets.coupling import CouplingNet, unit_normal_columns
+from harness.nets.encoding import ConditionEncoder
 from harness.nets.extremes import FAR, held
-from harness.protocol import InputError, Knob, Material
 
 
 class AffineFlow(nn.Module):

@@ -8,17 +8,11 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
+from harness.core.protocol.disk import disk_to_square, inside_disk, square_to_disk
+from harness.core.protocol.errors import InputError
+from harness.core.protocol.material import Material
+from harness.core.protocol.method import DiskSample, Knob, Method
 from harness.fitting.targets import tabulate
-from harness.protocol import (
-    DiskSample,
-    InputError,
-    Knob,
-    Material,
-    Method,
-    disk_to_square,
-    inside_disk,
-    square_to_disk,
-)
 
 _CELLS = 1 << 22
 """Cells tabulated at a time: 16 MB of values, 32 MB of sums."""

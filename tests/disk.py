@@ -8,7 +8,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from harness.protocol import Method, disk_to_square, inside_disk, square_to_disk
+from harness.core.protocol.disk import disk_to_square, inside_disk, square_to_disk
+from harness.core.protocol.method import Method
 from harness.stats.chisquare import ChiSquare, chi_square
 
 BINS = 16

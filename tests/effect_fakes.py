@@ -9,8 +9,10 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from harness.protocol import Material, counting, inside_disk
-from harness.scenes import AreaLamp, Camera, PointLamp, Scene, Sphere
+from harness.core.protocol import counting
+from harness.core.protocol.disk import inside_disk
+from harness.core.protocol.material import Material
+from harness.scenes.base import AreaLamp, Camera, PointLamp, Scene, Sphere
 
 OWN = frozenset({"parallax", "prefiltering", "multiple-scattering", "media"})
 

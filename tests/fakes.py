@@ -14,10 +14,10 @@ import torch
 import yaml
 
 from harness import Material
+from harness.core.protocol.errors import InputError
 from harness.materials import registry as materials
 from harness.measures import registry as measures
 from harness.measures.base import Job, Measure, Outcome, Record, Settings
-from harness.protocol import InputError
 from harness.scenes import registry as scenes
 
 ADAPTERS = '''
@@ -25,7 +25,7 @@ ADAPTERS = '''
 import math, os, time
 import torch
 from harness import DiskSample, FitReport, Method
-from harness.protocol import BudgetExceeded, Unsupported, square_to_disk
+from harness import BudgetExceeded, Unsupported, square_to_disk
 
 
 class Good(Method):

@@ -9,7 +9,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from harness.protocol import Material, inside_disk
+from harness.core.protocol.disk import inside_disk
+from harness.core.protocol.material import Material
 
 
 class Tilted(Material):

@@ -12,7 +12,9 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from harness.protocol import Budget, DiskSample, FitReport, Material, Method, inside_disk
+from harness.core.protocol.disk import inside_disk
+from harness.core.protocol.material import Material
+from harness.core.protocol.method import Budget, DiskSample, FitReport, Method
 
 
 class Plaster(Material):

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from harness import store
 from harness.measures.base import Outcome, Record
+from harness.store import trials as store
 
 METHODS = {  # label: (registry name, variance over the ideal, nanoseconds per sample)
     "cosine": ("cosine", 30.0, 95.0),

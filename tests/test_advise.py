@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from harness.analysis.advise import advise
+from harness.analysis.breakeven import costs
+from harness.analysis.results import Results
 from harness.cli.main import main
-from harness.protocol import InputError
-from harness.report.advise import advise
-from harness.report.breakeven import costs
-from harness.report.results import Results
+from harness.core.protocol.errors import InputError
 from tests.report_results import Made
 
 SCENE = "studio-sphere"

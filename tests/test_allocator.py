@@ -41,7 +41,7 @@ def faults(first: str) -> int:
 
 @pytest.mark.skipif(sys.platform != "linux", reason="counts page faults, as Linux does")
 def test_freed_memory_is_kept() -> None:
-    from harness import allocator
+    from harness.core import allocator
 
     if not allocator.keep():
         pytest.skip("a C library without mallopt")
@@ -53,7 +53,7 @@ def test_what_is_free_can_be_given_back() -> None:
     """The resident memory of a process shrinks by what it freed."""
     code = """
 import harness, torch
-from harness import allocator
+from harness.core import allocator
 def resident():
     return int(open('/proc/self/statm').read().split()[1]) * 4096
 kept = torch.ones(64 << 20, dtype=torch.uint8)

@@ -9,7 +9,7 @@ import torch
 from scipy import stats
 from torch import Tensor
 
-from harness.protocol import inside_disk
+from harness.core.protocol.disk import inside_disk
 from methods.blinn_phong import BlinnPhong, log1p_columns, log_exponent
 from tests.materials import Plain
 

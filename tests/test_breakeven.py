@@ -8,14 +8,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from harness.analysis.breakeven import Costs, costs
+from harness.analysis.results import Results
 from harness.measures.base import Outcome
-from harness.report.breakeven import Costs, costs
 from harness.report.figures import Canvas
 from harness.report.figures.breakeven import breakeven as figure
 from harness.report.formats.csv import csv
 from harness.report.formats.markdown import markdown
-from harness.report.published import neusample
-from harness.report.results import Results
+from harness.report.published.neusample import neusample
 from harness.report.table import Table
 from harness.report.tables import TABLES
 from tests.report_results import METHODS, Made

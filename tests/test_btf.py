@@ -9,12 +9,13 @@ import numpy as np
 import pytest
 import torch
 
-from harness import microgeometry
+from harness.core.protocol.disk import square_to_disk
+from harness.core.protocol.errors import InputError
 from harness.materials import registry
+from harness.microgeometry import descriptions
 from harness.microgeometry.btf_file import COLOUR_MODELS, EPSILON, read
 from harness.microgeometry.measured import Directions
 from harness.microgeometry.queries import draw, truth
-from harness.protocol import InputError, square_to_disk
 
 WIDTH, HEIGHT = 6, 4
 
@@ -82,7 +83,7 @@ def at_measured(surface, light: int, view: int, samples: int = 1) -> torch.Tenso
 @pytest.mark.parametrize("turned", [False, True])
 def test_measured_directions_and_texels_are_given_back(tmp_path, turned):
     values = random_values()
-    surface = microgeometry.load(dfmf(tmp_path / "a.btf", values, turned=turned))
+    surface = descriptions.load(dfmf(tmp_path / "a.btf", values, turned=turned))
     for light, view in ((0, 0), (3, 7), (12, 2)):
         expected = values[light + len(dome()) * view]
         found = at_measured(surface, light, view)
@@ -102,7 +103,7 @@ def test_one_matrix_for_all_channels(tmp_path, signature, turned):
     data += b"\0" if signature == "!FMF12FCER" else b""
     path = tmp_path / "a.btf"
     path.write_bytes(data + struct.pack("<I", 5) + factored(matrix))
-    found = at_measured(microgeometry.load(path), 4, 9)
+    found = at_measured(descriptions.load(path), 4, 9)
     np.testing.assert_allclose(found, values[4 + len(dome()) * 9], rtol=1e-3, atol=1e-4)
 
 
@@ -113,7 +114,7 @@ def test_half_precision_logarithms_and_heights_are_read(tmp_path):
     data = header("!FMF12FCER", dome()) + struct.pack("<BI2I", 2, 1, 2, 3) + bytes(12)
     path = tmp_path / "a.btf"
     path.write_bytes(data + struct.pack("<I", 5) + factored(matrix, "f2"))
-    found = at_measured(microgeometry.load(path), 4, 9)
+    found = at_measured(descriptions.load(path), 4, 9)
     np.testing.assert_allclose(found, values[4 + len(dome()) * 9], rtol=0.05)
 
 
@@ -137,7 +138,7 @@ def test_colour_models_are_undone(tmp_path, model):
         12: np.log(rgb + EPSILON),
     }[model]
     path = dfmf(tmp_path / "a.btf", coded.astype(np.float32), model)
-    found = at_measured(microgeometry.load(path), 2, 5)
+    found = at_measured(descriptions.load(path), 2, 5)
     np.testing.assert_allclose(found, rgb[2 + len(dome()) * 5], rtol=5e-3, atol=1e-3)
 
 
@@ -147,7 +148,7 @@ def test_a_linear_function_of_directions_is_interpolated_exactly(tmp_path):
     light, view = np.meshgrid(np.arange(13), np.arange(13))  # light runs fastest
     f = 1 + w[light.ravel(), 0] + 0.5 * w[view.ravel(), 1]
     values = np.tile(f[:, None, None], (1, WIDTH * HEIGHT, 3)).astype(np.float32)
-    surface = microgeometry.load(dfmf(tmp_path / "a.btf", values))
+    surface = descriptions.load(dfmf(tmp_path / "a.btf", values))
     random = torch.rand(500, 4, generator=torch.Generator().manual_seed(1)) - 0.5
     wi, wo = random[:, :2], random[:, 2:]
     found = truth(surface, torch.zeros(500, 2), torch.zeros(500), wi, wo, 1, 0)[:, 0]
@@ -168,14 +169,14 @@ def test_weights_are_those_of_a_point_between_its_corners():
 
 def test_the_cosine_in_the_data_is_divided_out(tmp_path):
     values = random_values(4)
-    surface = microgeometry.load(dfmf(tmp_path / "a.btf", values, cosine=1))
+    surface = descriptions.load(dfmf(tmp_path / "a.btf", values, cosine=1))
     expected = values[12 + len(dome()) * 3] / np.cos(dome()[12, 0])
     np.testing.assert_allclose(at_measured(surface, 12, 3), expected, rtol=5e-4, atol=1e-4)
 
 
 def test_a_large_footprint_is_the_mean_of_the_picture(tmp_path):
     values = random_values(5)
-    surface = microgeometry.load(dfmf(tmp_path / "a.btf", values))
+    surface = descriptions.load(dfmf(tmp_path / "a.btf", values))
     n, zero = 400, torch.zeros(400, 2)
     f = truth(surface, zero, torch.full((n,), 3.0), zero, zero, samples=16, seed=1)
     spread = f.std(0) / n**0.5
@@ -184,14 +185,14 @@ def test_a_large_footprint_is_the_mean_of_the_picture(tmp_path):
 
 def test_queries_are_drawn_from_it_as_from_any_surface(tmp_path):
     path = dfmf(tmp_path / "carpet.btf", random_values())
-    surface = microgeometry.load(path)
+    surface = descriptions.load(path)
     q = draw(surface, 100, seed=1, kernel=0.1)
     assert torch.equal(q.f, draw(surface, 100, seed=1, kernel=0.1).f)
     part = truth(surface, *(x[:7] for x in q[:4]), samples=2, seed=1)
     torch.testing.assert_close(part, q.f[:7])
     assert surface.name == "carpet" and surface.identity()["type"] == "btf"
     with pytest.raises(InputError, match="measured at its own resolution"):
-        microgeometry.load(path, resolution=64)
+        descriptions.load(path, resolution=64)
 
 
 @pytest.mark.parametrize(
@@ -226,7 +227,7 @@ def test_directions_on_one_side_are_refused(tmp_path):
     data = header("!DFMF08FCR", dome(), lamps=lamps) + struct.pack("<Ii", 9, 0) + bytes(48)
     path.write_bytes(data + b"".join(factored(values[..., c]) for c in range(3)))
     with pytest.raises(InputError, match="lights: expected directions all around the normal"):
-        microgeometry.load(path)
+        descriptions.load(path)
 
 
 # --- as a material ---------------------------------------------------------------------

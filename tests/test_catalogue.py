@@ -10,13 +10,14 @@ import pytest
 import torch
 from torch import Tensor, nn
 
-from harness import registry as methods
-from harness.check import hard_conditions as at
-from harness.check import hard_states as states
-from harness.check import properties
-from harness.check.catalogue import BASE, CATALOGUE, GROUPS
+from harness.checks import hard_conditions as at
+from harness.checks import hard_states as states
+from harness.checks import properties
+from harness.checks.catalogue import BASE, CATALOGUE, GROUPS
+from harness.core import registry as methods
+from harness.core.protocol.material import Material
+from harness.core.protocol.method import Budget, DiskSample, Method
 from harness.materials import registry as materials
-from harness.protocol import Budget, DiskSample, Material, Method
 from tests.materials import Plain, Tilted
 
 BUDGET = Budget(steps=10, conditions=16, directions=16, resolution=16, pool=64)

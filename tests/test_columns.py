@@ -12,7 +12,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch import Tensor
 
-from harness.columns import ColumnMethod, Columns, Float, columns_of, tensor_of
+from harness.core.columns.bridge import Columns, Float, columns_of, tensor_of
+from harness.core.columns.method import ColumnMethod
 from harness.nets.encoding import ConditionEncoder, sinusoids, sinusoids_columns
 from harness.nets.mlp import MLP
 

@@ -6,11 +6,11 @@ from pathlib import Path
 
 import pytest
 
-from harness import store
+from harness.analysis.compare import compare
 from harness.cli.main import main
+from harness.core.protocol.errors import InputError
 from harness.measures.base import Outcome, Record
-from harness.protocol import InputError
-from harness.report.compare import compare
+from harness.store import trials as store
 
 HERE = {"cpu": "Example CPU 3000", "cores": 2}
 

@@ -10,8 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch import Tensor
 
+from harness.core.protocol.disk import inside_disk, square_to_disk, to_direction
 from harness.materials import registry
-from harness.protocol import inside_disk, square_to_disk, to_direction
 from methods.native import Native
 from tests.disk import compare
 from tests.walks import (

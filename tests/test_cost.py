@@ -15,15 +15,17 @@ import pytest
 import torch
 from torch import Tensor
 
-from harness import registry
+from harness.core import registry
+from harness.core.protocol.errors import Unsupported
+from harness.core.protocol.material import Material
+from harness.core.protocol.method import Budget, DiskSample, FitReport, Method
 from harness.materials import registry as materials
 from harness.measures import registry as measures
 from harness.measures.base import Job, Outcome
-from harness.measures.cold import start_cold
+from harness.measures.cold_start import start_cold
 from harness.measures.fit import Fit
 from harness.measures.memory import peak_bytes
-from harness.protocol import Budget, DiskSample, FitReport, Material, Method, Unsupported
-from harness.rendering import variant
+from harness.mitsuba_runtime import variant
 from harness.scenes import registry as scenes
 from tests.planted import Correct, Plaster
 

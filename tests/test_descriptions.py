@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from harness import microgeometry
+from harness.core.protocol.errors import InputError
 from harness.materials import registry
+from harness.microgeometry import descriptions
 from harness.microgeometry.description import parse
 from harness.microgeometry.expressions import Expression
 from harness.microgeometry.functions import FUNCTIONS
-from harness.protocol import InputError
 
 PLAIN = {"name": "x", "about": "a test", "colour": [{"colour": "#808080"}]}
 
@@ -31,15 +31,15 @@ def textures(surface) -> dict[str, np.ndarray]:
 
 
 def test_there_are_twelve_under_names_of_their_own():
-    names = microgeometry.names()
+    names = descriptions.names()
     assert len(names) == 12 and "leather" in names
     assert not set(names) & {*registry.names(), *registry.hard_names()}
 
 
-@pytest.mark.parametrize("name", microgeometry.names())
+@pytest.mark.parametrize("name", descriptions.names())
 def test_each_is_a_learnable_tile_without_a_seam(name):
     """The jump over the tile's edge is no greater than the jumps inside it."""
-    surface = microgeometry.load(name, resolution=128)
+    surface = descriptions.load(name, resolution=128)
     assert surface.name == name
     assert surface.slope < 0.4
     for field in textures(surface).values():
@@ -53,7 +53,7 @@ def test_each_is_a_learnable_tile_without_a_seam(name):
 @pytest.mark.parametrize("name", ["leather", "bulkhead"])
 def test_a_description_means_the_same_at_any_resolution(name):
     """The mean over blocks of a fine tile is about the coarse tile; seeds decide the rest."""
-    coarse, again, fine = (microgeometry.load(name, resolution=r) for r in (64, 64, 256))
+    coarse, again, fine = (descriptions.load(name, resolution=r) for r in (64, 64, 256))
     for a, b, c in zip(*(textures(s).values() for s in (coarse, again, fine)), strict=True):
         assert np.array_equal(a, b)
         block = c.reshape(64, 4, 64, 4, -1).mean((1, 3))
@@ -178,20 +178,20 @@ def test_files_are_named_in_the_refusal(tmp_path: Path):
     bad = tmp_path / "bad.yaml"
     bad.write_text("name: bad\nabout: x\ncolour: [{shade: 1}\n")
     with pytest.raises(InputError, match=r"bad.yaml, line 4: not valid YAML"):
-        microgeometry.load(bad)
+        descriptions.load(bad)
     bad.write_text("name: bad\ncolour:\n  - {shade: mix(0, 1, u())}\n")
     with pytest.raises(InputError, match=r"bad.yaml: colour\[0\]: unexpected '1'; a comma ends"):
-        microgeometry.load(bad)
+        descriptions.load(bad)
     bad.write_text("name: bad\nname: worse\n")
     with pytest.raises(InputError, match="the key 'name' is given twice"):
-        microgeometry.load(bad)
+        descriptions.load(bad)
     bad.write_text("name: bad\nabout: x\ncolour: [{shade: 3 * u()}]\n")
     with pytest.raises(InputError, match=r"bad.yaml: colour\[0\].shade: expected values from 0"):
-        microgeometry.load(bad)
+        descriptions.load(bad)
     with pytest.raises(InputError, match="no such description: lether; did you mean 'leather'"):
-        microgeometry.load("lether")
+        descriptions.load("lether")
     with pytest.raises(InputError, match="multiple of 4"):
-        microgeometry.load("leather", resolution=33)
+        descriptions.load("leather", resolution=33)
 
 
 def test_identity_covers_what_changes_the_surface():
@@ -201,8 +201,8 @@ def test_identity_covers_what_changes_the_surface():
 
 
 def test_the_manual_names_every_function_and_key():
+    from harness.core.paths import ROOT
     from harness.microgeometry.description import Description
-    from harness.source import ROOT
 
     manual = (ROOT / "docs" / "microgeometry.md").read_text(encoding="utf-8")
     tables = "".join(line for line in manual.splitlines() if line.startswith("|"))

@@ -13,8 +13,8 @@ import typer
 from typer.testing import CliRunner
 
 from harness.cli import doctor
-from harness.protocol import InputError
-from harness.rendering import llvm, variant
+from harness.core.protocol.errors import InputError
+from harness.mitsuba_runtime import llvm, variant
 
 ROOT = Path(__file__).parents[1]
 NOWHERE = "/nowhere/libLLVM.so"
@@ -97,7 +97,7 @@ def test_what_the_set_up_script_is_told(version, others, status, printed, monkey
 
 
 def test_a_missing_library_is_one_clear_line():
-    code = "from harness.rendering.variant import use; use('cpu')"
+    code = "from harness.mitsuba_runtime.variant import use; use('cpu')"
     done = elsewhere(code, DRJIT_LIBLLVM_PATH=NOWHERE)
     last = done.stderr.strip().splitlines()[-1]
     assert done.returncode == 1
@@ -106,7 +106,7 @@ def test_a_missing_library_is_one_clear_line():
 
 def test_the_variant_is_set_once_and_kept():
     code = """
-from harness.protocol import InputError
+from harness import InputError
 from harness.rendering.variant import use
 assert use("cpu").variant() == "llvm_ad_rgb"
 assert use("cpu").variant() == "llvm_ad_rgb"

@@ -8,10 +8,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from harness import effects
-from harness.effects import EFFECTS, Offer, Recipe, checked, is_auto, parse, recipe, refusals
-from harness.protocol import InputError
-from harness.scenes import AreaLamp, PointLamp, registry
+from harness.core.protocol.errors import InputError
+from harness.effects.base import Offer, Recipe
+from harness.effects.offer import recipe_of
+from harness.effects.registry import EFFECTS, checked, is_auto, parse, recipe, refusals
+from harness.scenes import registry
+from harness.scenes.base import AreaLamp, PointLamp
 
 ALL = Offer(
     "hall",
@@ -60,7 +62,7 @@ def test_integrators():
     # A scene without media needs no integrator for them, whatever its material does inside.
     scene = registry.make("uniform-sphere")
     inside = replace(scene, effects=("environment", "media"))
-    assert effects.recipe_of(inside).integrator == "direct"
+    assert recipe_of(inside).integrator == "direct"
 
 
 def test_effects_of_the_material():

@@ -8,11 +8,13 @@ import numpy as np
 import pytest
 import torch
 
-from harness import registry
-from harness.protocol import Budget, Material, counting
-from harness.rendering import variant
-from harness.scenes import Scene, XmlScene
+from harness.core import registry
+from harness.core.protocol import counting
+from harness.core.protocol.material import Material
+from harness.core.protocol.method import Budget
+from harness.mitsuba_runtime import variant
 from harness.scenes import registry as scenes
+from harness.scenes.base import Scene, XmlScene
 from tests.effect_fakes import OWN, Offset, hall
 
 mi = variant.use("cpu")

@@ -14,16 +14,19 @@ import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from harness import registry
 from harness.cli.main import main
-from harness.effects import Offer, checked, is_auto, offer, recipe
+from harness.core import registry
+from harness.core.protocol.material import Material
+from harness.core.protocol.method import Budget
+from harness.effects.base import Offer
+from harness.effects.offer import offer
+from harness.effects.registry import checked, is_auto, recipe
 from harness.effects.variants import explicit, full, with_one_more, without
 from harness.measures.base import Job
 from harness.measures.flip import exposures, flip
-from harness.protocol import Budget, Material
-from harness.rendering import variant
-from harness.scenes import Scene
+from harness.mitsuba_runtime import variant
 from harness.scenes import registry as scenes
+from harness.scenes.base import Scene
 from harness.stats.difference import difference
 from tests.effect_fakes import OWN, Offset, hall
 

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 import torch
 
-from harness import registry
-from harness.protocol import Material
-from harness.rendering import variant
-from harness.scenes import Scene
+from harness.core import registry
+from harness.core.protocol.material import Material
+from harness.mitsuba_runtime import variant
+from harness.scenes.base import Scene
 from harness.stats.ztest import agreement
 from tests.effect_fakes import Offset, hall, without_lens
 

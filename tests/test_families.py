@@ -10,12 +10,14 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from harness.core.protocol.disk import inside_disk, square_to_disk
+from harness.core.protocol.errors import InputError
+from harness.core.protocol.material import Material
 from harness.materials import registry
-from harness.materials.families import FAMILIES
 from harness.materials.families.base import SWATCHES
 from harness.materials.families.hashing import generator_at
 from harness.materials.families.parameters import Parameter
-from harness.protocol import InputError, Material, inside_disk, square_to_disk
+from harness.materials.families.registry import FAMILIES
 
 NAMES = registry.family_names()
 each = pytest.mark.parametrize("name", NAMES)
@@ -226,7 +228,7 @@ def test_squared_parameters(t, low, width):
 
 def test_hashed_generators():
     """Uniform over neighbouring inputs, equal for equal ones, zero of either sign, new by seed."""
-    from harness.columns import columns_of, tensor_of
+    from harness.core.columns.bridge import columns_of, tensor_of
 
     n = 1 << 16
     near = torch.stack([1 + torch.arange(n) * 2.0**-23, torch.full((n,), 0.3)], 1)
@@ -279,7 +281,7 @@ def test_disney_on_a_surface_is_its_row():
     import drjit as dr
     import mitsuba as mi
 
-    from harness.columns import columns_of, tensor_of
+    from harness.core.columns.bridge import columns_of, tensor_of
 
     material = registry.make("disney")
     uv = torch.rand(512, 2, generator=rng(14))
@@ -298,7 +300,7 @@ def test_disney_on_a_surface_is_its_row():
 
 def test_the_speed_command(monkeypatch, capsys):
     """Prints one line a case, with seven figures; what they are is no matter of a test."""
-    from harness.materials.families import speed
+    from harness.bench import families as speed
 
     sizes = {"RESOLUTION": 8, "WALKS": 256, "EVALUATIONS": 64}
     for name, value in sizes.items():

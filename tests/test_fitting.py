@@ -10,10 +10,12 @@ import pytest
 import torch
 from torch import Tensor, nn
 
-from harness.fitting import Targets, minimise
-from harness.fitting.targets import cells, tabulate
-from harness.protocol import Budget, BudgetExceeded, disk_to_square, inside_disk
-from harness.stats import chi_square
+from harness.core.protocol.disk import disk_to_square, inside_disk
+from harness.core.protocol.errors import BudgetExceeded
+from harness.core.protocol.method import Budget
+from harness.fitting.targets import Targets, cells, tabulate
+from harness.fitting.train import minimise
+from harness.stats.chisquare import chi_square
 from methods.improved_baseline import ImprovedBaseline
 from tests.materials import MATERIALS, HalfBlack, Plain, Tilted
 

@@ -12,11 +12,14 @@ from hypothesis import strategies as st
 from scipy.stats import chi2
 from zuko.transforms import MonotonicRQSTransform
 
-from harness.columns import columns_of, tensor_of
+from harness.core.columns.bridge import columns_of, tensor_of
+from harness.core.protocol.disk import inside_disk
+from harness.core.protocol.errors import InputError, StateRefused
+from harness.core.protocol.material import Material
+from harness.core.protocol.method import Budget
 from harness.fitting.steady import STEADY, UNIT
 from harness.nets import spline
 from harness.nets.extremes import FAR
-from harness.protocol import Budget, InputError, Material, StateRefused, inside_disk
 from methods.neural_spline_flow import NeuralSplineFlow
 from methods.realnvp import RealNVP
 

@@ -12,13 +12,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch import Tensor
 
-from harness.check.catalogue import BASE, CATALOGUE
-from harness.fitting import Targets
+from harness.checks.catalogue import BASE, CATALOGUE
+from harness.core.protocol.disk import inside_disk, luminance, square_to_disk
+from harness.core.protocol.errors import InputError
+from harness.core.protocol.material import Material
+from harness.core.protocol.method import Budget
+from harness.fitting.targets import Targets
 from harness.materials import registry
-from harness.materials.hard import MATERIALS, DiskMaterial
 from harness.materials.hard.flat import BrightPixel
 from harness.materials.hard.holes import MeasuredHoles
-from harness.protocol import Budget, InputError, Material, inside_disk, luminance, square_to_disk
+from harness.materials.hard.registry import MATERIALS, DiskMaterial
 
 NAMES = registry.hard_names()
 SYNTHETIC = [n for n in NAMES if not n.startswith(("specular", "anisotropic"))]

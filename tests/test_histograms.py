@@ -11,12 +11,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import chi2
 
-from harness.columns import columns_of, tensor_of
-from harness.fitting import Targets
+from harness.core.columns.bridge import columns_of, tensor_of
+from harness.core.protocol.disk import inside_disk
+from harness.core.protocol.errors import InputError
+from harness.core.protocol.material import Material
+from harness.core.protocol.method import Budget
+from harness.fitting.targets import Targets
 from harness.nets.alias import AliasTables, split_bins, whole_units
 from harness.nets.basis import BasisHistograms, Volume
 from harness.nets.squares import Squares
-from harness.protocol import Budget, InputError, Material, inside_disk
 from methods.histogram import Histogram
 from methods.histogram_mixture import HistogramMixture
 

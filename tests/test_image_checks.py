@@ -13,28 +13,24 @@ import pytest
 import torch
 from torch import Tensor
 
-from harness import registry
+from harness.analysis.results import Results
+from harness.core import registry
+from harness.core.protocol.disk import inside_disk
+from harness.core.protocol.material import Material
+from harness.core.protocol.method import Budget, DiskSample, Method
 from harness.materials import registry as materials
 from harness.measures import registry as measures
 from harness.measures.base import Job
-from harness.protocol import Budget, DiskSample, Material, Method, inside_disk
-from harness.rendering import variant
-from harness.report.results import Results
+from harness.mitsuba_runtime import variant
 from harness.report.table import Table
 from harness.report.tables.image_checks import CHECKS, NOISELESS, RATIOS, image_checks
 from harness.scenes import registry as scenes
-from harness.stats import mean_interval
+from harness.stats.intervals import mean_interval
 from tests.test_rendering import SometimesNan, UniformDisk, White, mitsuba, white, xml_scene
 
 mi = variant.use("cpu")
 
-from harness.measures.image_checks import (  # noqa: E402  a variant has to be set first
-    FURNACE,
-    ROUNDING,
-    Image,
-    compare,
-    is_white,
-)
+from harness.measures.image_checks import FURNACE, ROUNDING, Image, compare, is_white  # noqa: E402
 from harness.rendering.misreported import MisreportedBSDF, tilted, tripled  # noqa: E402
 from harness.rendering.prepared import Prepared, prepare  # noqa: E402
 

@@ -11,22 +11,18 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from harness import registry
-from harness.columns import columns_of, tensor_of
-from harness.importance_maps import ImportanceMap, database
+from harness.core import registry
+from harness.core.columns.bridge import columns_of, tensor_of
+from harness.core.protocol.disk import inside_disk, luminance, square_to_disk
+from harness.core.protocol.errors import InputError, StateRefused
+from harness.core.protocol.method import Budget
+from harness.importance_maps import database
 from harness.importance_maps.database import BakeSettings, bake, bake_to, load
+from harness.importance_maps.maps import ImportanceMap
 from harness.importance_maps.training import MapBatches
-from harness.nets import MLP
 from harness.nets.blobs import Encoding, TableEncoder
+from harness.nets.mlp import MLP
 from harness.nets.tangents import with_tangents
-from harness.protocol import (
-    Budget,
-    InputError,
-    StateRefused,
-    inside_disk,
-    luminance,
-    square_to_disk,
-)
 from tests.disk import nodes
 from tests.materials import MATERIALS, HalfBlack
 

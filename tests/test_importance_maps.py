@@ -11,14 +11,14 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from scipy.optimize import linear_sum_assignment
 
-from harness.importance_maps import KINDS, ImportanceMap, Slice, make_map, slices_of
+from harness.core.protocol.disk import square_to_disk
+from harness.core.protocol.errors import InputError
 from harness.importance_maps.hierarchical import Hierarchical
-from harness.importance_maps.maps import checked_kind, equal_points
+from harness.importance_maps.maps import KINDS, ImportanceMap, checked_kind, equal_points, make_map
 from harness.importance_maps.quality import binned_error, coarse, gradients, histogram
 from harness.importance_maps.row_column import RowColumn
-from harness.importance_maps.slices import inner_share
+from harness.importance_maps.slices import Slice, inner_share, slices_of
 from harness.importance_maps.transport import cost, grid, transport
-from harness.protocol import InputError, square_to_disk
 from harness.stats.chisquare import chi_square
 from tests.materials import MATERIALS
 

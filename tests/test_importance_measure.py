@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 import yaml
 
+from harness.analysis.results import Results
 from harness.cli.main import main
 from harness.report.figures import FIGURES, Canvas
-from harness.report.results import Results
 from harness.report.tables import TABLES
 from harness.report.tables.importance_maps import LOBES
 

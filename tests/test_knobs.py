@@ -12,11 +12,14 @@ import pytest
 import torch
 import yaml
 
-from harness import Budget, registry
-from harness.columns import columns_of, tensor_of
+from harness import Budget
+from harness.core import registry
+from harness.core.columns.bridge import columns_of, tensor_of
+from harness.core.protocol.disk import inside_disk
+from harness.core.protocol.errors import InputError
+from harness.core.protocol.method import Knob
 from harness.nets.coupling import uniforms_of_normal, unit_normal_columns
 from harness.nets.encoding import sinusoids, sinusoids_columns
-from harness.protocol import InputError, Knob, inside_disk
 from harness.stats.chisquare import sidak
 from harness.suite.load import load
 from harness.suite.plan import Plan, make_plan
@@ -118,7 +121,7 @@ def test_declared_in_an_adapter_of_the_suites_own(tmp_path: Path):
 
 ADAPTER = """
 from harness import DiskSample, Method
-from harness.protocol import Knob
+from harness import Knob
 
 
 class Own(Method):

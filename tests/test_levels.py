@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 import torch
 
+from harness.core.protocol.errors import Unsupported
 from harness.materials.neural.architecture import Architecture
 from harness.materials.neural.material import NeuralMaterial
 from harness.materials.neural.network import NeuralMBTF
 from harness.measures import levels
-from harness.protocol import Unsupported
 
 SMALL = Architecture(resolution=16, offset_resolution=8, width=8, layers=1)
 

@@ -12,9 +12,10 @@ import numpy as np
 import pytest
 import torch
 
-from harness.materials import procedural as tex
+from harness.core.protocol.disk import square_to_disk
+from harness.core.protocol.errors import InputError
 from harness.materials import registry
-from harness.protocol import InputError, square_to_disk
+from harness.textures import maps, noise, patterns
 
 PAINT = {"type": "principled", "base_color": [0.5, 0.2, 0.1], "roughness": 1}
 XML = """<scene version="3.0.0">
@@ -61,11 +62,11 @@ def measured_fields() -> dict[str, np.ndarray]:
 @pytest.mark.parametrize(
     "field",
     [
-        lambda: tex.fbm(64, (4, 3), seed=1, octaves=2),
-        lambda: tex.fbm(64, (2, 4), seed=2, octaves=2, ridged=True),
-        lambda: tex.cellular(64, (4, 5), seed=3).nearest,
-        lambda: tex.cellular(64, (4, 5), seed=3).border,
-        lambda: tex.blur(np.random.default_rng(0).random((64, 64)), 3.0),
+        lambda: noise.fbm(64, (4, 3), seed=1, octaves=2),
+        lambda: noise.fbm(64, (2, 4), seed=2, octaves=2, ridged=True),
+        lambda: noise.cellular(64, (4, 5), seed=3).nearest,
+        lambda: noise.cellular(64, (4, 5), seed=3).border,
+        lambda: noise.blur(np.random.default_rng(0).random((64, 64)), 3.0),
     ],
     ids=["fbm", "ridged", "nearest", "border", "blur"],
 )
@@ -79,38 +80,38 @@ def test_fields_wrap_around(field):
 
 
 def test_fields_are_seeded():
-    np.testing.assert_array_equal(tex.fbm(32, (4, 4), seed=5), tex.fbm(32, (4, 4), seed=5))
-    assert np.abs(tex.fbm(32, (4, 4), seed=5) - tex.fbm(32, (4, 4), seed=6)).max() > 0.1
+    np.testing.assert_array_equal(noise.fbm(32, (4, 4), seed=5), noise.fbm(32, (4, 4), seed=5))
+    assert np.abs(noise.fbm(32, (4, 4), seed=5) - noise.fbm(32, (4, 4), seed=6)).max() > 0.1
 
 
 def test_cell_border_is_half_way_between_seeds():
     """Without jitter the cells are squares: the border is known in closed form."""
-    cells = tex.cellular(64, (4, 4), seed=0, jitter=0.0)
-    u, v = tex.grid(64)
+    cells = noise.cellular(64, (4, 4), seed=0, jitter=0.0)
+    u, v = noise.grid(64)
     x, y = (4 * u) % 1, (4 * v) % 1
     expected = np.minimum.reduce([x, 1 - x, y, 1 - y])
     np.testing.assert_allclose(cells.border, expected, atol=1e-12)
 
 
 def test_normals_point_down_the_slope():
-    u, v = tex.grid(128)
+    u, v = noise.grid(128)
     height = np.sin(2 * np.pi * u) + np.cos(2 * np.pi * v)
-    n = tex.normals(height, 0.01)
+    n = maps.normals(height, 0.01)
     slope_u, slope_v = 0.02 * np.pi * np.cos(2 * np.pi * u), -0.02 * np.pi * np.sin(2 * np.pi * v)
     np.testing.assert_allclose(-n[..., 0] / n[..., 2], slope_u, atol=1e-4)
     np.testing.assert_allclose(-n[..., 1] / n[..., 2], slope_v, atol=1e-4)
 
 
 def test_panels_cover_the_tile_once():
-    _, _, boxes = tex.panels(64, 0.15, seed=1)
+    _, _, boxes = patterns.panels(64, 0.15, seed=1)
     assert sum((b[2] - b[0]) * (b[3] - b[1]) for b in boxes) == pytest.approx(1)
 
 
 def test_bitmap_refuses_what_is_no_reflectance():
     with pytest.raises(ValueError, match="outside"):
-        tex.bitmap(np.full((4, 4), 1.5))
+        maps.bitmap(np.full((4, 4), 1.5))
     with pytest.raises(ValueError, match="outside"):
-        tex.bitmap(np.full((4, 4), np.nan))
+        maps.bitmap(np.full((4, 4), np.nan))
 
 
 # --- the named twelve ------------------------------------------------------------------

@@ -12,22 +12,17 @@ import pytest
 import torch
 from torch import Tensor
 
-from harness import registry
+from harness.core import registry
+from harness.core.protocol.disk import inside_disk, square_to_disk
+from harness.core.protocol.errors import BudgetExceeded
+from harness.core.protocol.material import Material
+from harness.core.protocol.method import Budget, DiskSample, Method
 from harness.fitting.targets import cells, tabulate
 from harness.materials import registry as materials
-from harness.measures import guard
+from harness.measures import adapter_smoke_test as guard
 from harness.measures import registry as measures
 from harness.measures.base import Job, Outcome
-from harness.protocol import (
-    Budget,
-    BudgetExceeded,
-    DiskSample,
-    Material,
-    Method,
-    inside_disk,
-    square_to_disk,
-)
-from harness.rendering import variant
+from harness.mitsuba_runtime import variant
 from harness.scenes import registry as scenes
 from tests.fakes import FakeMaterial
 from tests.materials import Plain

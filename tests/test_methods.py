@@ -12,9 +12,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch import Tensor
 
-from harness import registry
+from harness.core import registry
+from harness.core.protocol.material import Material
+from harness.core.protocol.method import Budget, FitReport, Method
 from harness.fitting.targets import cells, tabulate
-from harness.protocol import Budget, FitReport, Material, Method
 from harness.stats.chisquare import sidak
 from tests.disk import compare
 from tests.materials import MATERIALS

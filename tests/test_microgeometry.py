@@ -6,13 +6,14 @@ import numpy as np
 import pytest
 import torch
 
-from harness import microgeometry
-from harness.materials.procedural import fbm
+from harness.core.protocol.disk import square_to_disk
+from harness.core.protocol.errors import InputError
 from harness.materials.registry import make
+from harness.microgeometry import descriptions
 from harness.microgeometry.estimate import reflectance
 from harness.microgeometry.queries import _inside, draw, energy, integral, stratified, truth
 from harness.microgeometry.surface import Surface
-from harness.protocol import InputError, square_to_disk
+from harness.textures.noise import fbm
 
 PAINT = {"type": "principled", "base_color": [0.5, 0.2, 0.1], "roughness": 0.4}
 
@@ -262,10 +263,10 @@ def test_answers_depend_on_row_and_seed_alone():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", microgeometry.names())
+@pytest.mark.parametrize("name", descriptions.names())
 def test_the_twelve_reflect_no_more_than_they_get(name):
     """Finite, not negative, and in the mean over places below one for light from all around."""
-    surface, n = microgeometry.load(name, resolution=128), 100_000
+    surface, n = descriptions.load(name, resolution=128), 100_000
     u, _, wo = rows(n, 3)
     for wi in ((0.0, 0.0), (0.6, 0.5)):
         here = torch.tensor([wi]).expand(n, 2).contiguous()

@@ -5,9 +5,10 @@ from __future__ import annotations
 import pytest
 import torch
 
-from harness.columns import columns_of, tensor_of
+from harness.core.columns.bridge import columns_of, tensor_of
+from harness.core.protocol.disk import cos_theta, inside_disk
+from harness.core.protocol.errors import Unsupported
 from harness.materials import registry as materials
-from harness.protocol import Unsupported, cos_theta, inside_disk
 from methods.native import Native
 from tests.materials import Plain, normal_mapped
 

@@ -8,8 +8,8 @@ import torch
 from typer.testing import CliRunner
 
 from harness.cli.main import build
-from harness.materials.neural import detail
 from harness.microgeometry.surface import Surface
+from harness.training import detail
 
 
 class Waves:

@@ -6,12 +6,14 @@ from dataclasses import replace
 import pytest
 import torch
 
-from harness.materials.neural import energy, profiles, quality, recipe, storage
+from harness.core.protocol.disk import cos_theta
+from harness.core.protocol.errors import InputError
+from harness.materials.neural import storage
 from harness.materials.neural.architecture import Architecture
-from harness.materials.neural.profiles import Profile
-from harness.materials.neural.training import Data, Training
 from harness.microgeometry import queries
-from harness.protocol import InputError, cos_theta
+from harness.training import energy, profiles, quality, recipe
+from harness.training.profiles import Profile
+from harness.training.training import Data, Training
 
 SMALL = Architecture(
     resolution=8, channels=4, offset_resolution=4, offset_channels=3, width=8, layers=1,

@@ -9,11 +9,12 @@ import pytest
 import torch
 from safetensors.torch import load_file, save_file
 
+from harness.core.protocol.disk import cos_theta, square_to_disk
+from harness.core.protocol.errors import InputError
 from harness.materials import registry
 from harness.materials.neural import checkpoint, restricted_pickle, storage, textures
 from harness.materials.neural.architecture import Architecture
 from harness.materials.neural.network import NeuralMBTF
-from harness.protocol import InputError, cos_theta, square_to_disk
 
 SMALL = Architecture(resolution=8, channels=4, offset_resolution=4, offset_channels=3, width=8)
 

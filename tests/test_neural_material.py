@@ -9,13 +9,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.ndimage import gaussian_filter
 
+from harness.core.protocol.disk import square_to_disk
+from harness.core.protocol.errors import InputError
 from harness.materials.neural import textures
 from harness.materials.neural.architecture import NEUMIP, Architecture
 from harness.materials.neural.material import NeuralMaterial
 from harness.materials.neural.network import NeuralMBTF
 from harness.materials.neural.offset import shift
 from harness.nets.mlp import count_parameters
-from harness.protocol import InputError, square_to_disk
 
 SMALL = Architecture(resolution=16, offset_resolution=8, width=16, layers=2)
 PYRAMID = Architecture(

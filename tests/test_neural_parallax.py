@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 import torch
 
-from harness.materials.neural import parallax
+from harness.core.protocol.disk import cos_theta
 from harness.materials.neural.network import NeuralMBTF
-from harness.materials.neural.training import Data, Training
 from harness.microgeometry.queries import rays
 from harness.microgeometry.surface import Surface
-from harness.protocol import cos_theta
+from harness.training import parallax
+from harness.training.training import Data, Training
 from tests.test_neural_training import TINY, Wavy, data, quiet
 
 GREY = {"type": "diffuse", "reflectance": {"type": "rgb", "value": 0.5}}

@@ -3,8 +3,8 @@
 import numpy as np
 import torch
 
-from harness.materials.neural import preview
-from harness.rendering import variant
+from harness.mitsuba_runtime import variant
+from harness.training import preview
 
 variant.use("cpu")
 

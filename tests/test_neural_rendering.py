@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 import torch
 
-from harness import registry
+from harness.core import registry
 from harness.materials.neural.material import NeuralMaterial
-from harness.rendering import variant
+from harness.mitsuba_runtime import variant
 from harness.scenes import registry as scenes
 from tests.test_neural_material import PYRAMID, SMALL, material, network
 

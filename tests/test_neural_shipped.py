@@ -4,19 +4,20 @@ import pytest
 import torch
 from typer.testing import CliRunner
 
-from harness import microgeometry
 from harness.cli.main import build
+from harness.core.protocol.disk import square_to_disk
+from harness.core.protocol.errors import InputError
 from harness.materials import registry
 from harness.materials.neural import storage
 from harness.materials.neural.files import shipped
 from harness.measures.levels import surface_of
-from harness.protocol import InputError, square_to_disk
+from harness.microgeometry import descriptions
 
 NAMES = registry.neural_names()
 
 
 def test_every_description_is_trained():
-    assert set(NAMES) == set(microgeometry.names())
+    assert set(NAMES) == set(descriptions.names())
 
 
 @pytest.mark.parametrize("name", NAMES)

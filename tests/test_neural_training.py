@@ -5,12 +5,14 @@ from dataclasses import replace
 import pytest
 import torch
 
-from harness.materials.neural import profiles, quality, recipe, storage
+from harness.core.protocol.disk import cos_theta, square_to_disk
+from harness.core.protocol.errors import InputError
+from harness.materials.neural import storage
 from harness.materials.neural.architecture import Architecture
-from harness.materials.neural.profiles import Profile
-from harness.materials.neural.training import Data, Training
 from harness.microgeometry import queries
-from harness.protocol import InputError, cos_theta, square_to_disk
+from harness.training import profiles, quality, recipe
+from harness.training.profiles import Profile
+from harness.training.training import Data, Training
 
 TINY = Profile(
     Architecture(resolution=16, offset_resolution=16, channels=4, offset_channels=4, width=16),

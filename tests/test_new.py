@@ -11,10 +11,10 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from harness import registry
-from harness.check import run_checks
+from harness.checks.run import run_checks
 from harness.cli.new import register, scaffold
-from harness.protocol import InputError
+from harness.core import registry
+from harness.core.protocol.errors import InputError
 from tests.materials import Plain, Tilted
 
 ROOT = Path(__file__).parents[1]

@@ -15,14 +15,14 @@ from hypothesis import strategies as st
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from harness.report.combine import Estimate
-from harness.report.families import families
+from harness.analysis.combine import Estimate
+from harness.analysis.families import families
+from harness.analysis.front import standings
+from harness.analysis.pareto import sampling_time
+from harness.analysis.results import Results
 from harness.report.figures.canvas import Canvas
 from harness.report.figures.knob_path import inserted
 from harness.report.figures.labels import Label, place
-from harness.report.front import standings
-from harness.report.pareto import sampling_time
-from harness.report.results import Results
 from tests import report_results
 from tests.report_results import Made
 

@@ -9,6 +9,7 @@ import pytest
 import torch
 from matplotlib.image import imread
 
+from harness.core.protocol.disk import to_direction
 from harness.microgeometry.__main__ import main
 from harness.microgeometry.preview import (
     develop,
@@ -20,7 +21,6 @@ from harness.microgeometry.preview import (
     sphere_shots,
 )
 from harness.microgeometry.surface import Surface
-from harness.protocol import to_direction
 
 
 def white(u, kernel, wi, wo):

@@ -12,24 +12,20 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from torch import Tensor
 
-from harness.protocol import (
-    Budget,
-    DiskSample,
-    FitReport,
-    InputError,
-    Material,
-    Method,
+from harness.core.protocol.disk import (
     cos_theta,
     disk_to_solid_angle,
     disk_to_square,
     inside_disk,
     luminance,
-    nearest,
     solid_angle_to_disk,
     square_to_disk,
     to_direction,
 )
-from harness.stats import chi_square
+from harness.core.protocol.errors import InputError, nearest
+from harness.core.protocol.material import Material
+from harness.core.protocol.method import Budget, DiskSample, FitReport, Method
+from harness.stats.chisquare import chi_square
 from tests.materials import Plain, Tilted
 
 TOP = 1 - 2**-24
@@ -197,7 +193,7 @@ def test_rim_has_no_density_per_disk_area():
 
 def test_luminance_is_mitsubas():
     """The same weights, hence the same targets in torch and in the renderer."""
-    from harness.rendering import variant
+    from harness.mitsuba_runtime import variant
 
     mi = variant.use("cpu")
     rgb = torch.rand(100, 3, generator=torch.Generator().manual_seed(4)) * 10 - 2

@@ -7,13 +7,14 @@ import numpy as np
 import pytest
 import torch
 
-from harness.check.finding import Finding
-from harness.check.own_weights import as_declared, check_own_weights
-from harness.check.run import run_checks
-from harness.check.subject import Case, Subject
+from harness.checks.approximate_pdf import as_declared, check_own_weights
+from harness.checks.finding import Finding
+from harness.checks.run import run_checks
+from harness.checks.subject import Case, Subject
+from harness.core.protocol.disk import inside_disk
+from harness.core.protocol.errors import Unsupported
 from harness.materials import registry as materials
-from harness.protocol import Unsupported, inside_disk
-from harness.rendering import variant
+from harness.mitsuba_runtime import variant
 
 variant.use("cpu")
 

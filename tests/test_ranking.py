@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from harness.report.combine import Estimate, over_seeds
-from harness.report.ranking import standings
-from harness.report.results import Results
+from harness.analysis.combine import Estimate, over_seeds
+from harness.analysis.ranking import standings
+from harness.analysis.results import Results
 from harness.report.table import Cell, Table, embolden
 from harness.report.tables import TABLES
 from tests.report_results import MATERIALS, Made

@@ -7,9 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from harness import Method, registry
-from harness.protocol import InputError
-from harness.source import covered, essence
+from harness import Method
+from harness.core import registry
+from harness.core.protocol.errors import InputError
+from harness.identity.source import covered, essence
 from tests.fakes import ADAPTERS
 
 
@@ -121,7 +122,7 @@ def test_entry_point_to_nowhere(monkeypatch: pytest.MonkeyPatch):
 def test_source_follows_imports():
     text = registry.source("improved-baseline")
     assert "# harness.nets.mlp" in text
-    assert "# harness.protocol.disk" in text
+    assert "# harness.core.protocol.disk" in text
     assert "# harness.measures" not in text
     assert "# harness.nets" not in registry.source("cosine")
 

@@ -10,21 +10,14 @@ import pytest
 import torch
 from torch import Tensor
 
-from harness import registry
-from harness.protocol import (
-    Budget,
-    DiskSample,
-    InputError,
-    Material,
-    Method,
-    Unsupported,
-    cos_theta,
-    inside_disk,
-    square_to_disk,
-)
-from harness.rendering import variant
+from harness.core import registry
+from harness.core.protocol.disk import cos_theta, inside_disk, square_to_disk
+from harness.core.protocol.errors import InputError, Unsupported
+from harness.core.protocol.material import Material
+from harness.core.protocol.method import Budget, DiskSample, Method
+from harness.mitsuba_runtime import variant
 from harness.scenes import registry as scenes
-from harness.stats import agreement
+from harness.stats.ztest import agreement
 from tests.materials import Tilted, normal_mapped
 from tests.planted import Correct, Plaster
 
@@ -32,7 +25,7 @@ mi = variant.use("cpu")
 
 import drjit as dr  # noqa: E402  a variant has to be set first
 
-from harness.check.mitsuba_chi2 import mitsuba_chi2  # noqa: E402
+from harness.checks.mitsuba_chi2 import mitsuba_chi2  # noqa: E402
 from harness.materials.mitsuba_bsdf import MitsubaMaterial  # noqa: E402
 from harness.measures.images import checked  # noqa: E402
 from harness.rendering import passes  # noqa: E402

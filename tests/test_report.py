@@ -18,16 +18,13 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from harness import report as reports
-from harness.protocol import InputError
-from harness.report import names, numbers
-from harness.report.combine import (
-    Estimate,
-    arithmetic_mean,
-    geometric_mean,
-    over_seeds,
-    ratio,
-)
+from harness.analysis import numbers
+from harness.analysis.combine import Estimate, arithmetic_mean, geometric_mean, over_seeds, ratio
+from harness.analysis.quantities import nanoseconds_per_sample
+from harness.analysis.results import MethodColumn, Results
+from harness.core.protocol.errors import InputError
+from harness.report import names
+from harness.report import write as reports
 from harness.report.figures import FIGURES, Canvas
 from harness.report.figures.canvas import grid_shape, styled
 from harness.report.figures.images import _worst_square
@@ -40,8 +37,6 @@ from harness.report.formats.html import html
 from harness.report.formats.latex import escape as latex_escape
 from harness.report.formats.latex import latex
 from harness.report.formats.markdown import markdown
-from harness.report.quantities import nanoseconds_per_sample
-from harness.report.results import MethodColumn, Results
 from harness.report.table import Cell, Footnotes, Row, Section, Table, embolden
 from harness.report.tables import TABLES
 from harness.report.tables.bias import corrected_p

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 import torch
 
-from harness import registry
+from harness.core import registry
+from harness.core.protocol.method import Budget
 from harness.materials import registry as materials
 from harness.measures.sample_weights import SampleWeights
-from harness.protocol import Budget
 from tests.materials import MATERIALS
 
 COPPER = {"alpha_x": 0.4, "alpha_y": 0.4, "r0_r": 0.9, "r0_g": 0.9, "r0_b": 0.9}
@@ -64,7 +64,7 @@ def test_cosine_of_a_lambertian_has_no_variance():
 
 def test_variance_is_that_of_quadrature():
     """E[(f/p)^2] / A^2 - 1 of uniform directions on the disk, where f is a closed form."""
-    from harness.protocol import luminance, square_to_disk
+    from harness.core.protocol.disk import luminance, square_to_disk
 
     material = MATERIALS["tilted"]()
     value, arrays = measured(material, registry.make("cosine"), 4, 1 << 15)
@@ -101,8 +101,8 @@ def test_bias_is_seen_and_only_where_there_is_one():
 def test_records_and_table(tmp_path: Path):
     import yaml
 
+    from harness.analysis.results import Results
     from harness.cli.main import main
-    from harness.report.results import Results
     from harness.report.tables import TABLES
 
     suite = {

@@ -7,10 +7,11 @@ import json
 import numpy as np
 import pytest
 
-from harness.protocol import InputError
-from harness.scenes import Mesh, Scene, Sphere, XmlScene, environment, registry
-from harness.scenes.shapes import cloth_mesh, sphere_mesh
-from harness.scenes.solids import box, panel, ring, runner, turned
+from harness.core.protocol.errors import InputError
+from harness.geometry.shapes import cloth_mesh, sphere_mesh
+from harness.geometry.solids import box, panel, ring, runner, turned
+from harness.scenes import environment, registry
+from harness.scenes.base import Mesh, Scene, Sphere, XmlScene
 
 XML = """<scene version="3.0.0">
   <sensor type="perspective"/>
@@ -172,7 +173,7 @@ def test_softbox_is_where_it_says():
 
 def test_directions_are_those_of_mitsuba():
     """One bright texel: Mitsuba's radiance peaks in the direction we say."""
-    from harness.rendering import variant
+    from harness.mitsuba_runtime import variant
 
     variant.use("cpu")
     import drjit as dr

@@ -9,10 +9,11 @@ from typing import Any
 import pytest
 from rich.console import Console
 
-from harness import load_results, store
-from harness.protocol import InputError
+from harness import load_results
+from harness.core.protocol.errors import InputError
 from harness.runner import shipped
 from harness.runner.run import Options, run
+from harness.store import trials as store
 from harness.suite.load import load
 from harness.suite.plan import make_plan
 from harness.suite.trials import FIT

@@ -17,29 +17,31 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from rich.console import Console
 
-from harness import load_results, store
-from harness import report as reports
-from harness.check.catalogue import CATALOGUE
-from harness.check.finding import Finding
-from harness.check.run import CASE_ALARM, FALSE_ALARM
-from harness.jsonfile import read_json
+from harness import load_results
+from harness.analysis import verdicts
+from harness.analysis.results import Results
+from harness.analysis.verdicts import case_rows
+from harness.checks.catalogue import CATALOGUE
+from harness.checks.finding import Finding
+from harness.checks.run import CASE_ALARM, FALSE_ALARM
+from harness.core.jsonfile import read_json
+from harness.core.protocol.errors import InputError, Unsupported
+from harness.core.protocol.method import Budget
 from harness.measures import registry as measures
 from harness.measures import stability
 from harness.measures.base import Outcome, Record
-from harness.protocol import Budget, InputError, Unsupported
-from harness.report import verdicts
+from harness.report import write as reports
 from harness.report.figures import FIGURES, Canvas
 from harness.report.figures.heatmap import _FACE
 from harness.report.formats.csv import csv as as_csv
 from harness.report.formats.html import html
 from harness.report.formats.latex import latex
 from harness.report.formats.markdown import markdown
-from harness.report.results import Results
 from harness.report.table import Cell, Table
 from harness.report.tables import TABLES
-from harness.report.verdicts import case_rows
 from harness.runner.run import Options
 from harness.runner.run import run as run_plan
+from harness.store import trials as store
 from harness.suite.load import load
 from harness.suite.plan import make_plan
 from tests import report_results
@@ -190,7 +192,7 @@ def test_the_suite_covers_the_catalogue_and_the_methods_of_other_suites():
 def test_the_hash_covers_the_checks():
     text = measures.source("stability")
     for name in ("catalogue", "run", "weights", "quadrature"):
-        assert f"# harness.check.{name}\n" in text
+        assert f"# harness.checks.{name}\n" in text
 
 
 def test_a_run_gives_a_verdict_on_a_real_case(tmp_path: Path):

@@ -11,27 +11,26 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from scipy import stats
 
-from harness.stats import (
-    Cells,
-    agreement,
-    chi_square,
+from harness.stats.cells import Cells
+from harness.stats.chisquare import chi_square, sidak
+from harness.stats.divergence import (
     chi_square_divergence,
+    kl_divergence,
+    lost_share,
+    mean_squared_error,
+)
+from harness.stats.intervals import (
     geometric_mean,
     geometric_mean_of,
-    holm,
-    kl_divergence,
-    log_mean,
-    lost_share,
     mean_interval,
-    mean_squared_error,
     median_interval,
-    one_sample_variance,
     ratio_of_means,
     ratio_of_medians,
-    sidak,
     speed_up,
-    variance_from_batches,
 )
+from harness.stats.log_estimate import log_mean
+from harness.stats.moments import one_sample_variance, variance_from_batches
+from harness.stats.ztest import agreement, holm
 
 
 def skewed(rng: np.random.Generator, n: int) -> np.ndarray:

@@ -12,24 +12,19 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from harness.stats import (
+from harness.stats.crossing import crossing, envelope
+from harness.stats.intervals import (
     Interval,
-    crossing,
-    envelope,
     geometric_mean,
     geometric_mean_of,
-    log_mean,
-    log_median,
     mean_interval,
     median_interval,
-    over_seeds_draws,
     ratio_of_means,
     ratio_of_medians,
-    share_interval,
     speed_up,
-    spread_by_level,
-    two_level_mean,
 )
+from harness.stats.levels import over_seeds_draws, share_interval, spread_by_level, two_level_mean
+from harness.stats.log_estimate import log_mean, log_median
 
 Rng = np.random.Generator
 Draw = Callable[[Rng, int], np.ndarray]

@@ -11,9 +11,10 @@ import numpy as np
 import pytest
 import torch
 
-from harness import load_results, store
+from harness import load_results
+from harness.core.protocol.errors import InputError
 from harness.measures.base import Outcome, Record
-from harness.protocol import InputError
+from harness.store import trials as store
 
 HASH, OTHER, THIRD = "0123456789abcdef", "fedcba9876543210", "00000000000000aa"
 LABELS = {"suite": "s", "material": "m", "method": "a", "scene": "", "measure": "pdf", "seed": 0}

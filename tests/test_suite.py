@@ -10,8 +10,9 @@ from typing import Any
 import pytest
 import yaml
 
-from harness import Budget, machine
-from harness.protocol import InputError
+from harness import Budget
+from harness.core import machine
+from harness.core.protocol.errors import InputError
 from harness.suite import load as loading
 from harness.suite import plan as planning
 from harness.suite.load import load

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from harness.report.published import neusample
-from harness.report.results import Results
+from harness.analysis.results import Results
+from harness.report.published.neusample import neusample
 from harness.report.table import Cell, Table
 from harness.report.tables import TABLES
 from tests.report_results import METHODS, Made

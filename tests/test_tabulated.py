@@ -8,8 +8,10 @@ import pytest
 import torch
 from torch import Tensor
 
+from harness.core.protocol.disk import inside_disk
+from harness.core.protocol.errors import InputError
+from harness.core.protocol.material import Material
 from harness.fitting.targets import cells, tabulate
-from harness.protocol import InputError, Material, inside_disk
 from methods.tabulated import Tabulated
 from tests.materials import HalfBlack, Plain, Tilted
 

@@ -14,12 +14,12 @@ import pytest
 import torch
 from torch import Tensor
 
+from harness.core.protocol.method import Budget, DiskSample, Method
 from harness.measures import registry as measures
 from harness.measures import timing
 from harness.measures.base import Job, Outcome
-from harness.measures.race import Runner, race
+from harness.measures.deadline_render import Runner, race
 from harness.measures.timing import Contender, RoundSettings, interleave, settle
-from harness.protocol import Budget, DiskSample, Method
 from tests.planted import Correct, Plaster
 
 

@@ -8,8 +8,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from harness.core.protocol.disk import disk_to_square, inside_disk, square_to_disk
+from harness.core.protocol.material import Material
 from harness.materials import registry
-from harness.protocol import Material, disk_to_square, inside_disk, square_to_disk
 from harness.stats.chisquare import ChiSquare, chi_square
 
 CELLS = 12

@@ -29,8 +29,8 @@ def register(app: typer.Typer) -> None:
         ] = False,
     ) -> None:
         """Name the fastest method to a given error, the runner-up, and how long that holds."""
-        from harness.protocol import InputError, nearest
-        from harness.report import advise as reports
+        from harness.analysis import advise as reports
+        from harness.core.protocol.errors import InputError, nearest
 
         if not results_dir.is_dir():
             beside = [p.parent.name for p in results_dir.parent.glob("*/plan.json")]

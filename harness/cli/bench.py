@@ -28,8 +28,8 @@ def register(app: typer.Typer) -> None:
         from rich.console import Console
         from rich.table import Table
 
-        from harness import lean
-        from harness.bench import run
+        from harness.bench import effect_overhead as lean
+        from harness.bench.adapters import run
 
         console = Console()
         with console.status("preparing") as status:

@@ -12,7 +12,7 @@ import typer
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from harness.check import Finding
+    from harness.checks.finding import Finding
 
 STYLES = {"pass": "green", "degraded": "yellow", "fail": "bold red", "skip": "dim"}
 _EXPONENT = re.compile(r"[-+]?[0-9]+[eE][-+]?[0-9]+")
@@ -51,10 +51,10 @@ def check(
     """
     from rich.console import Console
 
-    from harness.check.plan import carry_out, make_plan
-    from harness.protocol import InputError, Unsupported
-    from harness.registry import make
-    from harness.rendering import variant
+    from harness.checks.plan import carry_out, make_plan
+    from harness.core.protocol.errors import InputError, Unsupported
+    from harness.core.registry import make
+    from harness.mitsuba_runtime import variant
 
     given = parameters(param or [])
     make(method, **given)  # refuses what cannot be made before anything runs
@@ -120,7 +120,7 @@ def parameters(given: list[str]) -> dict[str, Any]:
     """
     import yaml
 
-    from harness.protocol import InputError
+    from harness.core.protocol.errors import InputError
 
     found = {}
     for item in given:

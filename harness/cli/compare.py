@@ -20,7 +20,7 @@ def register(app: typer.Typer) -> None:
         ] = None,
     ) -> None:
         """Say how many intervals of two runs overlap, and how wide they are."""
-        from harness.report.compare import compare as compared
+        from harness.analysis.compare import compare as compared
 
         found, left_out = compared(run, again, tuple(metric or ()))
         for agreement in found:

@@ -110,7 +110,7 @@ def drjit() -> Finding:
 
 def mitsuba() -> Finding:
     """Mitsuba and those of its variants that the harness uses."""
-    from harness.rendering.variant import VARIANTS
+    from harness.mitsuba_runtime.variant import VARIANTS
 
     def detail(module: ModuleType) -> str:
         built = [v for v in VARIANTS.values() if v in module.variants()]
@@ -121,7 +121,7 @@ def mitsuba() -> Finding:
 
 def llvm() -> Finding:
     """The LLVM library that compiles for the CPU."""
-    from harness.rendering import llvm as probe
+    from harness.mitsuba_runtime import llvm as probe
 
     if isinstance(_imported("drjit"), str):
         return Finding("LLVM", "not looked for: no Dr.Jit", MISSING)
@@ -191,7 +191,7 @@ def examine() -> tuple[list[Finding], bool]:
     rows = [*needed, library, gpu(), compiler(), cores(), memory()]
     renders: list[Finding] = []
     if all(row.status == OK for row in needed):
-        from harness.rendering.variant import VARIANTS
+        from harness.mitsuba_runtime.variant import VARIANTS
 
         # A library known to abort is not tried.
         if library.status == OK:

@@ -38,7 +38,7 @@ def register(app: typer.Typer) -> None:
         from harness.runner.only import parse
         from harness.runner.run import Options
         from harness.runner.run import run as carry_out
-        from harness.store import load_trial, stored
+        from harness.store.trials import load_trial, stored
         from harness.suite.load import load
         from harness.suite.trials import FIT
 

@@ -18,7 +18,7 @@ def register(app: typer.Typer) -> None:
         kind: Annotated[str, typer.Argument(help=", ".join(KINDS))],
     ) -> None:
         """Print the names of all methods, materials, scenes, measures, suites or hard cases."""
-        from harness.protocol import InputError, nearest
+        from harness.core.protocol.errors import InputError, nearest
 
         if kind not in KINDS:
             raise InputError(f"list: cannot list '{kind}'{nearest(kind, KINDS)}")
@@ -31,7 +31,7 @@ def register(app: typer.Typer) -> None:
 
 def _registry(kind: str) -> tuple[list[str], Callable[[str], str]]:
     if kind == "methods":
-        from harness import registry
+        from harness.core import registry
 
         return registry.names(), registry.describe
     if kind == "materials":
@@ -48,7 +48,7 @@ def _registry(kind: str) -> tuple[list[str], Callable[[str], str]]:
 
         return measures.names(), measures.describe
     if kind == "cases":
-        from harness.check.catalogue import CATALOGUE
+        from harness.checks.catalogue import CATALOGUE
 
         return list(CATALOGUE), lambda name: CATALOGUE[name].about
     from harness.suite import load

@@ -65,7 +65,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         print("interrupted", file=sys.stderr)
         return INTERRUPTED
     except Exception as error:
-        from harness.protocol.errors import InputError
+        from harness.core.protocol.errors import InputError
 
         if isinstance(error, InputError):
             return _refuse(str(error))

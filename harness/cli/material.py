@@ -37,7 +37,7 @@ def register(app: typer.Typer) -> None:
         from rich.console import Console
         from rich.progress import Progress
 
-        from harness.materials.neural import recipe
+        from harness.training import recipe
 
         _ready(device)
         console = Console()
@@ -64,11 +64,11 @@ def register(app: typer.Typer) -> None:
         """Print where a surface is too fine for a texture, before any training."""
         from rich.console import Console
 
-        from harness import microgeometry
-        from harness.materials.neural import report
+        from harness.microgeometry import descriptions
+        from harness.training import report
 
         _ready(device)
-        surfaces = [microgeometry.load(name) for name in names]
+        surfaces = [descriptions.load(name) for name in names]
         Console().print(report.detail(surfaces, resolution, device))
 
     @material.command()
@@ -93,7 +93,7 @@ def register(app: typer.Typer) -> None:
         """Measure a material's errors again and rewrite its record; its tensors stay."""
         from rich.console import Console
 
-        from harness.materials.neural import recipe
+        from harness.training import recipe
 
         _ready(device)
         file = _file(name)
@@ -110,7 +110,7 @@ def register(app: typer.Typer) -> None:
         from rich.console import Console
         from rich.progress import Progress
 
-        from harness.materials.neural import recipe
+        from harness.training import recipe
 
         _ready(device)
         file, console = _file(name), Console()
@@ -138,7 +138,7 @@ def register(app: typer.Typer) -> None:
         """Draw sphere, plane and slices of a material beside the path-traced truth."""
         from rich.console import Console
 
-        from harness.materials.neural import preview as pictures
+        from harness.training import preview as pictures
 
         _ready(device)
         file = _file(name)
@@ -155,7 +155,7 @@ def register(app: typer.Typer) -> None:
         """Time both stages beside a bare torch network of the decoder's size, in one run."""
         from rich.console import Console
 
-        from harness.materials.neural import bench as timing
+        from harness.bench import neural as timing
 
         _ready(device)
         Console().print(timing.table(_file(name), rows, rounds, device))
@@ -169,8 +169,8 @@ def _ready(device: str) -> None:
 
 def _file(name: str) -> Path:
     """A shipped material's file, or the file itself."""
+    from harness.core.protocol.errors import InputError, nearest
     from harness.materials.neural.files import SUFFIXES, check, shipped
-    from harness.protocol import InputError, nearest
 
     if name in shipped():
         return shipped()[name]
@@ -181,6 +181,6 @@ def _file(name: str) -> Path:
 
 
 def _show(console, files: list[Path]) -> None:
-    from harness.materials.neural.report import table
+    from harness.training.report import table
 
     console.print(table(files))

@@ -33,7 +33,7 @@ def class_name(name: str) -> str:
 
 def scaffold(name: str, out: Path) -> Scaffold:
     """Write ``out/methods/<name>.py`` and ``out/tests/test_<name>.py``; replaces nothing."""
-    from harness import registry
+    from harness.core import registry
 
     _check_name(name, registry.names())
     stem = name.replace("-", "_")
@@ -53,7 +53,7 @@ def scaffold(name: str, out: Path) -> Scaffold:
 
 
 def _check_name(name: str, known: list[str]) -> None:
-    from harness.protocol import InputError
+    from harness.core.protocol.errors import InputError
 
     if not NAME.fullmatch(name):
         raise InputError(
@@ -67,13 +67,13 @@ def _check_name(name: str, known: list[str]) -> None:
 
 
 def _filled(template: str, fields: dict[str, str]) -> str:
-    text = (resources.files("harness.templates") / template).read_text(encoding="utf-8")
+    text = (resources.files("harness.cli.templates") / template).read_text(encoding="utf-8")
     return Template(text).substitute(fields)
 
 
 def _write(texts: dict[Path, str]) -> None:
     """Write all files, or none if one of them exists already."""
-    from harness.protocol import InputError
+    from harness.core.protocol.errors import InputError
 
     for path in texts:
         if path.exists():

@@ -18,8 +18,8 @@ def register(app: typer.Typer) -> None:
         """Make tables and figures again from what is stored; nothing is computed."""
         from rich.console import Console
 
-        from harness import report as reports
-        from harness.protocol import InputError, nearest
+        from harness.core.protocol.errors import InputError, nearest
+        from harness.report import write as reports
 
         if not results_dir.is_dir():
             beside = [p.parent.name for p in results_dir.parent.glob("*/plan.json")]

@@ -25,7 +25,7 @@ def failed_again(retry: str | None) -> bool:
     Raises:
         InputError: it asks for something else than ``failed``.
     """
-    from harness.protocol import InputError
+    from harness.core.protocol.errors import InputError
 
     if retry not in (None, "failed"):
         raise InputError(f"--retry {retry}: expected 'failed'")
@@ -50,9 +50,9 @@ def run_and_report(plan: Plan, results: Path, options: Options) -> int:
     console = Console(highlight=False)
     status = run(plan, results, options, console)
     if not options.dry_run and status != INTERRUPTED:
-        from harness import report
+        from harness.report import write as reports
 
-        loaded = report.load(results)
+        loaded = reports.load(results)
         files = loaded.write()
         loaded.print(console)
         console.print(f"report: {files[0]}", soft_wrap=True)

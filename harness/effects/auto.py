@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-from harness.protocol.errors import InputError
+from harness.core.protocol.errors import InputError
 
 AUTO = "auto"
 TOLERANCE = 0.01

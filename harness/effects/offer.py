@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
+from harness.core.protocol.material import Material
 from harness.effects.base import Offer, Recipe
 from harness.effects.registry import recipe, require
-from harness.protocol import Material
 
 
 def offer(scene: Any, material: Material | None = None) -> Offer:

@@ -10,10 +10,10 @@ from typing import Any
 
 import yaml
 
+from harness.core.protocol.errors import InputError, nearest
 from harness.effects import lights, materials, transport
 from harness.effects.auto import AUTO, read_auto
 from harness.effects.base import LIGHTS, Effect, Offer, Recipe
-from harness.protocol.errors import InputError, nearest
 
 EFFECTS: dict[str, type[Effect]] = {
     effect.name: effect

@@ -8,11 +8,13 @@ from abc import abstractmethod
 import torch
 from torch import Tensor, nn
 
-from harness.columns import ColumnMethod
+from harness.core.columns.method import ColumnMethod
+from harness.core.protocol.disk import inside_disk
+from harness.core.protocol.material import Material
+from harness.core.protocol.method import Budget, FitReport
 from harness.fitting.steady import ROWS, SteadyMethod, moved
 from harness.nets import defensive, lobes
 from harness.nets.coupling import uniforms_of_normal
-from harness.protocol import Budget, FitReport, Material, inside_disk
 
 
 class FlowMethod(SteadyMethod, ColumnMethod):

@@ -9,9 +9,11 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
-from harness.columns import ColumnMethod, Columns, Float
+from harness.core.columns.bridge import Columns, Float
+from harness.core.columns.method import ColumnMethod
 from harness.fitting.module_method import ModuleMethod
-from harness.nets import ConditionalMLP, lobes
+from harness.nets import lobes
+from harness.nets.conditional import ConditionalMLP
 from harness.nets.extremes import FAR, held
 
 

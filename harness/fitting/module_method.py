@@ -9,11 +9,12 @@ from typing import ClassVar
 import torch
 from torch import Tensor, nn
 
+from harness.core.protocol.material import Material
+from harness.core.protocol.method import Budget, FitReport, Method
 from harness.fitting.precision import round_weights, shortened
 from harness.fitting.targets import Targets
 from harness.fitting.train import minimise
 from harness.nets.encoding import ConditionEncoder
-from harness.protocol import Budget, FitReport, Material, Method
 
 
 class ModuleMethod(Method):

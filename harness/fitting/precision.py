@@ -11,7 +11,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor, nn
 
-from harness.protocol import InputError
+from harness.core.protocol.errors import InputError
 
 PRECISIONS = ("bfloat16", "float32")
 

@@ -9,8 +9,8 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
+from harness.core.protocol.errors import StateRefused
 from harness.fitting.module_method import ModuleMethod
-from harness.protocol import StateRefused
 
 UNIT = 2.0**-24
 """By how much single precision rounds a coordinate near one."""

@@ -11,7 +11,9 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from harness.protocol import Budget, Material, square_to_disk
+from harness.core.protocol.disk import square_to_disk
+from harness.core.protocol.material import Material
+from harness.core.protocol.method import Budget
 
 _ROWS = 1 << 22
 """Target evaluations per call to a material: 16 MB a column."""

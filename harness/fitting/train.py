@@ -10,9 +10,10 @@ from collections.abc import Callable
 import torch
 from torch import Tensor, nn
 
+from harness.core.protocol.errors import BudgetExceeded
+from harness.core.protocol.method import Budget, FitReport
 from harness.fitting.targets import Targets
 from harness.nets.mlp import count_parameters
-from harness.protocol import Budget, BudgetExceeded, FitReport
 
 PARTS = 12
 """Parts of a fit whose times are told apart: enough for an interval, each long enough that the

@@ -5,8 +5,3 @@ projected disk (:mod:`.slices`), the density a map from the unit square (:mod:`.
 rows and columns (:mod:`.row_column`), by quadrants (:mod:`.hierarchical`) or by optimal
 transport (:mod:`.transport`). :mod:`.quality` measures maps, :mod:`.database` keeps many.
 """
-
-from harness.importance_maps.maps import KINDS, ImportanceMap, make_map
-from harness.importance_maps.slices import Slice, slices_of
-
-__all__ = ["KINDS", "ImportanceMap", "Slice", "make_map", "slices_of"]

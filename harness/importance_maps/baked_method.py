@@ -8,13 +8,14 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from harness.columns import ColumnMethod
+from harness.core.columns.method import ColumnMethod
+from harness.core.protocol.material import Material
+from harness.core.protocol.method import Budget, FitReport
 from harness.fitting.precision import round_weights
 from harness.fitting.steady import ROWS, UNIT, SteadyMethod, moved
 from harness.fitting.train import minimise
 from harness.importance_maps.database import BakeSettings, Maps
 from harness.importance_maps.training import MapBatches, maps_for
-from harness.protocol import Budget, FitReport, Material
 
 UNIFORM_DEVIATION = 12**-0.5
 """Of a uniform number."""

@@ -22,9 +22,10 @@ import torch
 from safetensors.torch import load_file, save_file
 from torch import Tensor
 
+from harness.core.protocol.errors import InputError
+from harness.core.protocol.material import Material
 from harness.importance_maps.maps import checked_kind, make_map
 from harness.importance_maps.slices import Slice, slices_of
-from harness.protocol import InputError, Material
 
 SHARD = 64
 MANIFEST = "database.json"

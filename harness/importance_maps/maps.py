@@ -8,11 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from harness.core.protocol.errors import InputError, nearest
 from harness.importance_maps.hierarchical import Hierarchical
 from harness.importance_maps.row_column import RowColumn
 from harness.importance_maps.slices import Slice
 from harness.importance_maps.transport import grid, transport
-from harness.protocol import InputError, nearest
 
 _GOLDEN = (5**0.5 - 1) / 2
 

@@ -10,9 +10,9 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from harness.core.protocol.disk import REC709, inside_disk
+from harness.core.protocol.material import Material
 from harness.nets.squares import Squares
-from harness.protocol import Material, inside_disk
-from harness.protocol.disk import REC709
 
 STRATA = 4
 """Points per side of a cell, for materials that do not make slices themselves."""
@@ -25,7 +25,7 @@ class Slice:
     """Mean BSDF (no cosine) of the R x R cells of [-1, 1]^2: ``rgb`` [R, R, 3], row y, column x.
 
     A cell that the rim cuts has the mean over the whole cell, zero off the disk. The density
-    is the luminance (absolute, as :meth:`~harness.protocol.Material.target`), taken as constant
+    is the luminance (absolute, as :meth:`Material.target`), taken as constant
     over each cell's part inside the disk.
     """
 

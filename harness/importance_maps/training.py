@@ -9,9 +9,12 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
+from harness.core.protocol.disk import luminance, square_to_disk
+from harness.core.protocol.errors import BudgetExceeded
+from harness.core.protocol.material import Material
+from harness.core.protocol.method import Budget
 from harness.importance_maps.database import BakeSettings, Maps, bake, load
 from harness.importance_maps.slices import inner_share
-from harness.protocol import Budget, BudgetExceeded, Material, luminance, square_to_disk
 
 _cache: OrderedDict[tuple, tuple[Material, Maps]] = OrderedDict()
 _KEPT = 2

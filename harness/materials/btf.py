@@ -9,8 +9,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from harness.core.protocol.disk import inside_disk
+from harness.core.protocol.material import Material
 from harness.microgeometry.measured import MeasuredSurface
-from harness.protocol import Material, inside_disk
 
 FEATURES = (4, 2, 2)
 """How many of each channel's leading texel factors a fitted method sees, at most."""

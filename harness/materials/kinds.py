@@ -11,12 +11,15 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from harness import mitsuba_xml
-from harness.materials import families, hard, measured, xml_bsdf
+from harness.core.protocol.errors import InputError, nearest
+from harness.core.protocol.material import Material
+from harness.identity.source import covered, digest
+from harness.materials import measured, xml_bsdf
+from harness.materials.families import registry as families
+from harness.materials.hard import registry as hard
 from harness.materials.neural import files as neural
 from harness.microgeometry import btf_file
-from harness.protocol import InputError, Material, nearest
-from harness.source import covered, digest
+from harness.scenes import mitsuba_xml
 
 
 class Kind(ABC):

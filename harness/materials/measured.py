@@ -17,7 +17,7 @@ import struct
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from harness.protocol import InputError
+from harness.core.protocol.errors import InputError
 
 MAGIC = b"tensor_file\0"
 NEEDED = ("phi_i", "theta_i", "ndf", "sigma", "vndf", "luminance", "rgb", "jacobian")

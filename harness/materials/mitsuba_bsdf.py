@@ -10,16 +10,17 @@ import drjit as dr
 import numpy as np
 from torch import Tensor
 
-from harness.columns import ColumnMaterial
-from harness.columns.bridge import Columns, Float, columns_of, tensor_of
-from harness.protocol import InputError, Material
+from harness.core.columns.bridge import Columns, Float, columns_of, tensor_of
+from harness.core.columns.material import ColumnMaterial
+from harness.core.protocol.errors import InputError
+from harness.core.protocol.material import Material
 
 
 def _mi() -> Any:
     import mitsuba
 
     if mitsuba.variant() is None:
-        from harness.rendering.variant import use
+        from harness.mitsuba_runtime.variant import use
 
         use("cpu")
     return mitsuba

@@ -23,11 +23,13 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from harness.materials import families, hard
+from harness.core.protocol.errors import InputError, nearest
+from harness.core.protocol.material import Material
+from harness.identity.source import covered, digest
+from harness.materials.families import registry as families
+from harness.materials.hard import registry as hard
 from harness.materials.kinds import KINDS, Kind, where_of
 from harness.materials.neural import files as neural
-from harness.protocol import InputError, Material, nearest
-from harness.source import covered, digest
 
 LIBRARY = Path(__file__).parent / "library"
 PACKAGE = "harness.materials.library"

@@ -9,11 +9,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from harness import registry
-from harness.effects import offer
+from harness.core import registry
+from harness.core.protocol.material import Material
+from harness.core.protocol.method import Method
+from harness.effects.offer import offer
 from harness.effects.registry import EFFECTS
 from harness.effects.variants import full, lit, name_of, replaced, without
-from harness.protocol import Material, Method
 from harness.rendering.meter import Meter
 from harness.rendering.prepared import prepare
 from harness.scenes.base import Scene, XmlScene

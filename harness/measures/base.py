@@ -20,7 +20,8 @@ if TYPE_CHECKING:
     import numpy as np
     import torch
 
-    from harness.protocol import Budget, Material, Method
+    from harness.core.protocol.material import Material
+    from harness.core.protocol.method import Budget, Method
 
 Status = Literal["ok", "skipped", "unsupported", "timeout", "error", "nonfinite"]
 FAILED = ("error", "timeout", "nonfinite")
@@ -127,7 +128,7 @@ class Measure(ABC):
     def run(self, jobs: list[Job], notify: Callable[[str], None]) -> list[Outcome]:
         """One outcome per job, in order. ``notify`` shows the user what is going on.
 
-        Raise :class:`~harness.protocol.Unsupported` or
-        :class:`~harness.protocol.BudgetExceeded` for those statuses; any other exception
+        Raise :class:`~harness.core.protocol.Unsupported` or
+        :class:`~harness.core.protocol.BudgetExceeded` for those statuses; any other exception
         makes the trial an ``error`` with the exception as its reason.
         """

@@ -9,14 +9,14 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from harness.core.protocol.errors import BudgetExceeded
+from harness.measures.adapter_smoke_test import state_of
 from harness.measures.base import Job, Measure, Outcome, Record
-from harness.measures.cold import Cold, start_cold
-from harness.measures.guard import state_of
+from harness.measures.cold_start import Cold, start_cold
 from harness.measures.images import checked, too_slow
 from harness.measures.renders import Entrant, RenderSettings, enter
 from harness.measures.throughput import Batch, BatchSettings, prepare_batch, rows_of
 from harness.measures.timing import Contender, Timings, interleave
-from harness.protocol import BudgetExceeded
 from harness.rendering.meter import PARTS, Meter, metered
 from harness.stats.intervals import Interval, mean_interval, median_interval
 
@@ -51,7 +51,7 @@ class Cost(Measure):
     hit it, on either side; calls and active rows of the method's sample and pdf, and of the
     material's evaluation.
 
-    *Before the first sample*, in a process of its own (:mod:`harness.measures.cold`):
+    *Before the first sample*, in a process of its own (:mod:`harness.measures.cold_start`):
     ``load-seconds``, ``compile-seconds``, ``peak-bytes`` of one call of ``batch`` rows, and
     ``size-bytes`` of the state's file. Fit times are those that the fit recorded.
     """

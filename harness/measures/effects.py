@@ -10,14 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from harness.effects import offer
+from harness.core.protocol.errors import BudgetExceeded
+from harness.effects.offer import offer
 from harness.effects.variants import explicit, lit, name_of, with_one_more, without
 from harness.measures.base import Job, Measure, Outcome, Record
 from harness.measures.flip import exposures, flip
 from harness.measures.images import checked, too_slow
 from harness.measures.renders import RenderSettings
 from harness.measures.timing import Contender, Timings, interleave, settle
-from harness.protocol import BudgetExceeded
 from harness.rendering.meter import COUNTS, Meter
 from harness.rendering.passes import Pass
 from harness.rendering.prepared import Prepared, prepare

@@ -6,11 +6,11 @@ from collections.abc import Callable
 
 import numpy as np
 
+from harness.core.protocol.errors import BudgetExceeded
 from harness.measures.base import Job, Measure, Outcome, Record
 from harness.measures.base import Settings as BaseSettings
 from harness.measures.batches import LEAST, LEAST_SPP, Batches, render_batches
 from harness.measures.images import reference, too_slow
-from harness.protocol import BudgetExceeded
 from harness.rendering.prepared import prepare
 from harness.stats.intervals import mean_interval
 from harness.stats.ztest import Agreement, agreement

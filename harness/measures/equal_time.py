@@ -8,12 +8,12 @@ from collections.abc import Callable, Iterable, Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
+from harness.core.protocol.errors import BudgetExceeded
 from harness.measures.base import Job, Measure, Outcome, Record
+from harness.measures.deadline_render import Runner, race
 from harness.measures.images import checked, too_slow
-from harness.measures.race import Runner, race
 from harness.measures.renders import Entrant, RenderSettings, enter
 from harness.measures.timing import Timings, interleave
-from harness.protocol import BudgetExceeded
 from harness.stats.intervals import mean_interval, ratio_of_means, speed_up
 
 

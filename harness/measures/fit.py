@@ -7,10 +7,12 @@ from collections.abc import Callable
 
 import torch
 
+from harness.core.protocol.errors import Unsupported
+from harness.core.protocol.material import Material
+from harness.core.protocol.method import FitReport, Method
+from harness.measures.adapter_smoke_test import BadAdapter, guard, state_of
 from harness.measures.base import Job, Measure, Outcome, Record
-from harness.measures.guard import BadAdapter, guard, state_of
 from harness.measures.timing import now
-from harness.protocol import FitReport, Material, Method, Unsupported
 from harness.stats.intervals import Interval, mean_interval
 
 

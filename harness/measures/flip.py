@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from harness.protocol.disk import REC709
+from harness.core.protocol.disk import REC709
 
 STOPS = 2.0
 """Exposures are one that brings the reference's bright parts to white, and so many stops up."""

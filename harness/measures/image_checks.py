@@ -13,16 +13,18 @@ import torch
 from numpy.typing import NDArray
 from pydantic import Field
 
+from harness.core.protocol.disk import square_to_disk
+from harness.core.protocol.errors import BudgetExceeded
+from harness.core.protocol.material import Material
+from harness.geometry.shapes import sphere_mesh
 from harness.measures.base import Job, Measure, Outcome, Record
 from harness.measures.base import Settings as BaseSettings
 from harness.measures.batches import LEAST, LEAST_SPP, Batches, render_batches
 from harness.measures.images import reference, too_slow
-from harness.protocol import BudgetExceeded, Material, square_to_disk
 from harness.rendering import misreported
 from harness.rendering.misreported import MisreportedBSDF
 from harness.rendering.prepared import Prepared, prepare
 from harness.scenes.base import Camera, Scene, Sphere
-from harness.scenes.shapes import sphere_mesh
 from harness.stats.intervals import ratio_of_means
 from harness.stats.ztest import Agreement, agreement, holm
 

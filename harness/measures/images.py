@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 import torch
 
+from harness.core.protocol.errors import Unsupported
+from harness.core.protocol.method import Method
 from harness.measures.base import Job
-from harness.protocol import Method, Unsupported
 from harness.rendering.passes import Pass
 from harness.rendering.prepared import prepare, prepare_native
 
@@ -88,7 +89,7 @@ def _seconds(method: Method, condition: torch.Tensor, u: torch.Tensor) -> float:
 
 
 def _cosine(job: Job) -> Any:
-    from harness import registry
+    from harness.core import registry
 
     method = registry.make("cosine")
     method.bind(job.material)

@@ -10,14 +10,14 @@ import numpy as np
 import torch
 from skimage.metrics import structural_similarity
 
-from harness import microgeometry
+from harness.core.protocol.disk import square_to_disk
+from harness.core.protocol.errors import Unsupported
 from harness.materials.neural.material import NeuralMaterial
 from harness.measures.base import Job, Measure, Outcome, Record
 from harness.measures.base import Settings as BaseSettings
 from harness.measures.flip import exposures, flip
-from harness.microgeometry import preview, queries
+from harness.microgeometry import descriptions, preview, queries
 from harness.nets.mlp import count_parameters
-from harness.protocol import Unsupported, square_to_disk
 from harness.stats.intervals import mean_interval, median_interval
 
 METRICS = ("mse", "flip", "ssim")
@@ -156,9 +156,9 @@ def surface_of(material: Any) -> Any:
     if not isinstance(material, NeuralMaterial) or not record:
         raise Unsupported(f"material '{material.name}' has no record of a microgeometry")
     name = record["name"]
-    if name not in microgeometry.names():
+    if name not in descriptions.names():
         raise Unsupported(f"material '{material.name}': there is no description '{name}' any more")
-    surface = microgeometry.load(name)
+    surface = descriptions.load(name)
     if surface.identity()["description"] != record["description"]["description"]:
         raise Unsupported(f"material '{material.name}': description '{name}' has changed since")
     return surface

@@ -8,8 +8,8 @@ from pathlib import Path
 import drjit as dr
 import torch
 
-from harness import allocator
-from harness.protocol import Unsupported
+from harness.core import allocator
+from harness.core.protocol.errors import Unsupported
 
 _STATUS, _RESET = Path("/proc/self/status"), Path("/proc/self/clear_refs")
 

@@ -8,10 +8,10 @@ from collections.abc import Callable
 import numpy as np
 import torch
 
+from harness.core.protocol.disk import inside_disk, square_to_disk
 from harness.fitting.targets import cells
 from harness.measures.base import Job, Measure, Outcome, Record
 from harness.measures.base import Settings as BaseSettings
-from harness.protocol import inside_disk, square_to_disk
 from harness.stats import divergence
 from harness.stats.intervals import mean_interval
 

@@ -9,10 +9,10 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from harness.classes import named
+from harness.core.classes import named
+from harness.core.protocol.errors import InputError, nearest
+from harness.identity.source import covered
 from harness.measures.base import Measure
-from harness.protocol import InputError, nearest
-from harness.source import covered
 
 MEASURES = Path(__file__).parent
 _EXTRA: dict[str, type[Measure]] = {}

@@ -12,10 +12,12 @@ import torch
 from pydantic import Field
 from torch import Tensor
 
+from harness.core.protocol.disk import luminance
+from harness.core.protocol.material import Material
+from harness.core.protocol.method import Method
 from harness.materials.families.walks import WalkFamily
 from harness.measures.base import Job, Measure, Outcome, Record
 from harness.measures.base import Settings as BaseSettings
-from harness.protocol import Material, Method, luminance
 from harness.stats.intervals import mean_interval, median_interval
 
 _ROWS = 1 << 18
@@ -101,7 +103,7 @@ def _both(name: str, values: np.ndarray) -> list[Record]:
 
 def _reference(material: Material) -> Method:
     """A sampler of the material that nothing was fitted for."""
-    from harness import registry
+    from harness.core import registry
 
     for name in _REFERENCES:
         method = registry.make(name)

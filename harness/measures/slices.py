@@ -8,9 +8,9 @@ from collections.abc import Callable
 import numpy as np
 import torch
 
+from harness.core.protocol.disk import inside_disk
 from harness.measures.base import Job, Measure, Outcome, Record
 from harness.measures.base import Settings as BaseSettings
-from harness.protocol import inside_disk
 from harness.stats.divergence import kl_divergence, mean_squared_error
 
 

@@ -10,13 +10,13 @@ from typing import Any
 from pydantic import field_validator
 from pydantic_core import PydanticCustomError
 
-from harness.check.catalogue import CATALOGUE, HardCase
-from harness.check.finding import Finding, verdict
-from harness.check.run import CASE_ALARM, run_case
-from harness.jsonfile import write_json
+from harness.checks.catalogue import CATALOGUE, HardCase
+from harness.checks.finding import Finding, verdict
+from harness.checks.run import CASE_ALARM, run_case
+from harness.core.jsonfile import write_json
+from harness.core.protocol.errors import Unsupported, nearest
 from harness.measures.base import Job, Measure, Outcome, Record
 from harness.measures.base import Settings as BaseSettings
-from harness.protocol import Unsupported, nearest
 
 FINDINGS = "findings.json"
 LEVELS = {"pass": 0.0, "degraded": 1.0, "fail": 2.0}

@@ -6,11 +6,11 @@ from collections.abc import Callable
 
 import numpy as np
 
-from harness.materials.neural import bench
+from harness.bench import neural as bench
+from harness.core.protocol.errors import Unsupported
 from harness.materials.neural.material import NeuralMaterial
 from harness.measures.base import Job, Measure, Outcome, Record
 from harness.measures.base import Settings as BaseSettings
-from harness.protocol import Unsupported
 from harness.stats.intervals import median_interval
 
 

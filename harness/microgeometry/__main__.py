@@ -11,9 +11,8 @@ from typing import Annotated
 import numpy as np
 import typer
 
-from harness import microgeometry
-from harness.microgeometry import preview, queries
-from harness.protocol import InputError
+from harness.core.protocol.errors import InputError
+from harness.microgeometry import descriptions, preview, queries
 
 app = typer.Typer(add_completion=False, help="Pictures and speed of microgeometry.")
 
@@ -32,8 +31,8 @@ def sheet(
     from matplotlib.image import imsave
 
     strips = []
-    for item in name or microgeometry.names():
-        surface = microgeometry.load(item, resolution)
+    for item in name or descriptions.names():
+        surface = descriptions.load(item, resolution)
         pictures = [
             preview.plane(surface, pixels, spp=spp, dome=0.4, device=device),
             preview.perspective(surface, pixels, spp=spp, device=device),
@@ -58,7 +57,7 @@ def speed(
 ) -> None:
     """Random queries per second, end to end: median, least and greatest of the repeats."""
     start = time.perf_counter()
-    surface = microgeometry.load(name, resolution)
+    surface = descriptions.load(name, resolution)
     evaluated = time.perf_counter()
     queries.draw(surface, count // samples, 0, samples=samples, depth=depth, device=device)
     warm = time.perf_counter()

@@ -31,7 +31,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from harness.protocol import InputError
+from harness.core.protocol.errors import InputError
 
 SIGNATURES = ("!DFMF08FCR", "!FMF12FCER", "!FMF06FCR", "!FMF06FC")
 """Those that can be read; where one begins another, the longer comes first."""

@@ -25,13 +25,13 @@ import numpy as np
 from pydantic import Field as PydanticField
 from pydantic import StringConstraints, ValidationError, model_validator
 
-from harness.materials import procedural as tex
+from harness.core.protocol.errors import InputError
+from harness.core.refusal import refusal
+from harness.identity.source import covered, digest
 from harness.microgeometry.expressions import Expression
 from harness.microgeometry.surface import Surface
-from harness.protocol import InputError
-from harness.source import covered, digest
-from harness.suite.refusal import refusal
 from harness.suite.schema import Strict, Word
+from harness.textures import maps
 
 Text = str | float | int
 Code = Annotated[str, StringConstraints(pattern=r"^#[0-9a-fA-F]{6}$")]
@@ -134,14 +134,14 @@ class Description(Strict):
         for key in TEXTURED:
             if getattr(self, key) is not None:
                 bsdf[key] = _texture(key, values[key])
-        bsdf["base_color"] = tex.bitmap(self._colours(size, values))
+        bsdf["base_color"] = maps.bitmap(self._colours(size, values))
         full = (size, size)
         height = np.zeros(full)
         if self.relief is not None:
             height = height + self.relief.depth * values["relief.field"]
         micro = None
         if self.micro is not None:
-            micro = tex.normals(np.broadcast_to(values["micro.field"], full), self.micro.depth)
+            micro = maps.normals(np.broadcast_to(values["micro.field"], full), self.micro.depth)
         angle = None
         if self.angle is not None:
             angle = np.array(np.broadcast_to(values["angle"], full), float)
@@ -163,10 +163,10 @@ class Description(Strict):
             cover = np.broadcast_to(values[f"{where}.where"], (size, size))
             if layer.ramp is not None:
                 by = np.broadcast_to(values[f"{where}.by"], (size, size))
-                top = tex.ramp(by, [(float(at), code) for at, code in layer.ramp])
+                top = maps.ramp(by, [(float(at), code) for at, code in layer.ramp])
             else:
-                top = np.broadcast_to(tex.colour(str(layer.colour)), (size, size, 3))
-            result = tex.mix(result, top, _unit(f"{where}.where", cover))
+                top = np.broadcast_to(maps.colour(str(layer.colour)), (size, size, 3))
+            result = maps.mix(result, top, _unit(f"{where}.where", cover))
         return result
 
 
@@ -185,7 +185,7 @@ def parse(data: Any) -> Description:
 
 def read(path: Path) -> Description:
     """The description in a file; :class:`InputError` names the file, key and nearest name."""
-    from harness.yamlfile import read_yaml
+    from harness.core.yamlfile import read_yaml
 
     data = read_yaml(path, "a description in YAML")
     try:
@@ -228,7 +228,7 @@ def _evaluated(where: str, text: Text, size: int, fields: Mapping[str, Any]) -> 
 
 def _texture(where: str, value: Any) -> Any:
     value = _unit(where, value)
-    return float(value) if np.ndim(value) == 0 else tex.bitmap(value)
+    return float(value) if np.ndim(value) == 0 else maps.bitmap(value)
 
 
 def _unit(where: str, value: Any) -> Any:

@@ -16,7 +16,7 @@ import drjit as dr
 import torch
 from torch import Tensor
 
-from harness.columns.bridge import columns_of, tensor_of
+from harness.core.columns.bridge import columns_of, tensor_of
 from harness.microgeometry.tracing import Tracer
 
 LIGHT = 0.01

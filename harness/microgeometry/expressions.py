@@ -18,8 +18,8 @@ from typing import Any, get_type_hints
 
 import numpy as np
 
+from harness.core.protocol.errors import InputError, nearest
 from harness.microgeometry.functions import FUNCTIONS
-from harness.protocol import InputError, nearest
 
 _BINARY = {
     ast.Add: operator.add,

@@ -13,11 +13,13 @@ from typing import Any
 
 import numpy as np
 
-from harness.materials import procedural as tex
-from harness.materials.procedural import Cells, Planks, Weave
-from harness.materials.procedural.noise import Field
 from harness.microgeometry import patterns
 from harness.microgeometry.patterns import Panels, Quilt, Scales, Stars
+from harness.textures import maps as texture_maps
+from harness.textures import noise as fields
+from harness.textures import patterns as shapes
+from harness.textures.noise import Cells, Field
+from harness.textures.patterns import Planks, Weave
 
 Number = Field | float
 
@@ -39,7 +41,7 @@ def noise(
 ) -> Field:
     """Octaves of gradient noise, of mean 0 and deviation 1; ``ridged=1`` for thin crests."""
     period = _whole("cells", cells_u), _whole("cells", cells_u if cells_v is None else cells_v)
-    return tex.fbm(size, period, seed, octaves, gain, (_full(size, du), _full(size, dv)), ridged)
+    return fields.fbm(size, period, seed, octaves, gain, (_full(size, du), _full(size, dv)), ridged)
 
 
 def cells(
@@ -54,15 +56,15 @@ def cells(
 ) -> Cells:
     """Voronoi cells: ``.border`` and ``.nearest`` in widths of a cell, ``.value`` of the cell."""
     count = _whole("cells", cells_u), _whole("cells", cells_u if cells_v is None else cells_v)
-    return tex.cellular(size, count, seed, jitter, (_full(size, du), _full(size, dv)))
+    return fields.cellular(size, count, seed, jitter, (_full(size, du), _full(size, dv)))
 
 
 def veins(
     size: int, cells_u: int, *, seed: int, width: float, du: Number = 0.0, dv: Number = 0.0
 ) -> Field:
     """Thin winding lines, 1 in the middle: where noise crosses zero, ``exp(-|noise| / width)``."""
-    u, v = tex.grid(size)
-    n = tex.gradient_noise(u + du, v + dv, (_whole("cells", cells_u),) * 2, seed)
+    u, v = fields.grid(size)
+    n = fields.gradient_noise(u + du, v + dv, (_whole("cells", cells_u),) * 2, seed)
     return np.exp(-np.abs(n) / width)
 
 
@@ -72,12 +74,12 @@ def veins(
 def weave(size: int, threads: int, pattern: str = "plain", *, seed: int) -> Weave:
     """Threads: ``.height``, ``.warp`` (1 where it is on top), ``.across``, ``.thread``."""
     over = patterns.weave_pattern(pattern, _whole("threads", threads))
-    return tex.weave(size, over, threads, seed)
+    return shapes.weave(size, over, threads, seed)
 
 
 def planks(size: int, boards: int, joints: int = 1, *, seed: int) -> Planks:
     """Boards along u: ``.seam`` (distance to it), ``.board`` and ``.shift``, random numbers."""
-    return tex.planks(size, _whole("boards", boards), _whole("joints", joints), seed)
+    return shapes.planks(size, _whole("boards", boards), _whole("joints", joints), seed)
 
 
 def scales(size: int, across: int, down: int, *, seed: int) -> Scales:
@@ -87,7 +89,7 @@ def scales(size: int, across: int, down: int, *, seed: int) -> Scales:
 
 def stars(size: int, repeat: int) -> Stars:
     """Eight-pointed stars and crosses: ``.seam`` in repeats, ``.star`` 1 in a star."""
-    return Stars(*tex.star_tiles(size, _whole("repeat", repeat)))
+    return Stars(*shapes.star_tiles(size, _whole("repeat", repeat)))
 
 
 def panels(size: int, smallest: float, *, seed: int) -> Panels:
@@ -106,7 +108,7 @@ def grooves(
     """``count`` round grooves, ``(1 + cos) / 2``, that run along u or v."""
     if along not in ("u", "v"):
         raise ValueError(f"grooves(): along: expected 'u' or 'v', got {along!r}")
-    u, v = tex.grid(size)
+    u, v = fields.grid(size)
     at = v + dv if along == "u" else u + du
     return 0.5 + 0.5 * np.cos(2 * np.pi * _whole("count", count) * at)
 
@@ -115,7 +117,7 @@ def scratches(
     size: int, count: int, *, length: float, width: float, spread: float = np.inf, seed: int
 ) -> Field:
     """Straight scratches of depth 0.4 to 1, of half to the full ``length`` (below 0.5)."""
-    return tex.scratches(size, _whole("count", count), (length / 2, length), width, spread, seed)
+    return shapes.scratches(size, _whole("count", count), (length / 2, length), width, spread, seed)
 
 
 def motif(size: int, shape: str, repeat: int, *, du: Number = 0.0, dv: Number = 0.0) -> Field:
@@ -128,26 +130,26 @@ def motif(size: int, shape: str, repeat: int, *, du: Number = 0.0, dv: Number = 
 
 def u(size: int) -> Field:
     """The coordinate u of each texel's centre."""
-    return tex.grid(size)[0]
+    return fields.grid(size)[0]
 
 
 def v(size: int) -> Field:
     """The coordinate v of each texel's centre."""
-    return tex.grid(size)[1]
+    return fields.grid(size)[1]
 
 
 def step(size: int, x: Number, low: float, high: float) -> Number:
     """Smooth step from 0 at ``low`` to 1 at ``high``, which may be the smaller."""
     if low == high:
         raise ValueError("step(): expected two different ends")
-    return tex.smoothstep(low, high, x)
+    return texture_maps.smoothstep(low, high, x)
 
 
 def unit(size: int, x: Field) -> Field:
     """``x`` moved and scaled to span [0, 1]."""
     if np.ndim(x) == 0 or np.ptp(x) == 0:
         raise ValueError("unit(): expected a field that varies")
-    return tex.unit_range(x)
+    return texture_maps.unit_range(x)
 
 
 def mix(size: int, a: Number, b: Number, t: Number) -> Number:
@@ -157,12 +159,12 @@ def mix(size: int, a: Number, b: Number, t: Number) -> Number:
 
 def blur(size: int, x: Field, width: float, width_v: float | None = None) -> Field:
     """Gaussian blur of deviation ``width`` (along u, and along v if that is another)."""
-    return tex.blur(x, (width * size, (width if width_v is None else width_v) * size))
+    return fields.blur(x, (width * size, (width if width_v is None else width_v) * size))
 
 
 def warp(size: int, x: Field, du: Number, dv: Number) -> Field:
     """``x`` looked up at (u + du, v + dv)."""
-    return tex.warped(x, _full(size, du), _full(size, dv))
+    return fields.warped(x, _full(size, du), _full(size, dv))
 
 
 def slope_angle(size: int, x: Field) -> Field:

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, Delaunay, QhullError
 from torch import Tensor
 
+from harness.core.protocol.errors import InputError
+from harness.core.streams import generator
 from harness.microgeometry.btf_file import Btf, read
-from harness.protocol import InputError
-from harness.streams import generator
 
 ROWS = 1 << 14
 """Look-ups decoded at a time, which bounds the memory."""

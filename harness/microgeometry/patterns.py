@@ -6,10 +6,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from harness.materials.procedural import box_distance, grid, rivets
-from harness.materials.procedural import panels as split
-from harness.materials.procedural.noise import Field
-from harness.protocol import nearest
+from harness.core.protocol.errors import nearest
+from harness.textures.noise import Field, grid
+from harness.textures.patterns import box_distance, rivets
+from harness.textures.patterns import panels as split
 
 WEAVES: dict[str, np.ndarray] = {
     "plain": np.array([[1, 0], [0, 1]]),

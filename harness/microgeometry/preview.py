@@ -15,8 +15,9 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from harness.core.protocol.disk import to_direction
+from harness.core.protocol.errors import InputError
 from harness.microgeometry.queries import truth
-from harness.protocol import InputError, to_direction
 
 KEY = (-0.45, 0.5)
 """Projection of the key light's direction on the picture's plane (left and above)."""

@@ -12,9 +12,10 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
+from harness.core.protocol.disk import square_to_disk
+from harness.core.protocol.errors import InputError
+from harness.core.streams import generator
 from harness.microgeometry.estimate import LIGHT
-from harness.protocol import InputError, square_to_disk
-from harness.streams import generator
 
 
 class Queries(NamedTuple):

@@ -24,7 +24,7 @@ class Tile:
     the BSDF's frame about the normal (anisotropy); ``micro`` [R, R, 3] are unit normals
     relative to the surface, for detail that is shaded and not displaced.
 
-    All textures follow :mod:`harness.materials.procedural`: texel (i, j) is centred at
+    All textures follow :mod:`harness.textures`: texel (i, j) is centred at
     ``v = (i + 1/2) / R``, ``u = (j + 1/2) / R``.
     """
 

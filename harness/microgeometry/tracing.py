@@ -12,11 +12,11 @@ from typing import Any
 import drjit as dr
 import numpy as np
 
+from harness.geometry.shapes import grid_faces
 from harness.materials.mitsuba_bsdf import with_bitmaps
-from harness.materials.procedural import bitmap
 from harness.microgeometry.tile import Tile
-from harness.rendering.variant import use
-from harness.scenes.shapes import grid_faces
+from harness.mitsuba_runtime.variant import use
+from harness.textures.maps import bitmap
 
 MARGIN = 4
 """The mesh goes on for 1 / MARGIN of a tile on each side."""
@@ -250,6 +250,6 @@ def _into_tile(x: Any) -> Any:
 
 def _normals(height: np.ndarray) -> np.ndarray:
     """Unit normals [R, R, 3] at the texel centres, by central differences."""
-    from harness.materials.procedural import normals
+    from harness.textures.maps import normals
 
     return normals(height, 1.0)

@@ -14,7 +14,7 @@ import drjit as dr
 import torch
 from torch import Tensor
 
-from harness.columns.bridge import Float
+from harness.core.columns.bridge import Float
 
 _BITS = 32
 

@@ -14,8 +14,8 @@ import drjit as dr
 import torch
 from torch import Tensor, nn
 
-from harness.columns.bridge import Columns, Float
-from harness.protocol import Material
+from harness.core.columns.bridge import Columns, Float
+from harness.core.protocol.material import Material
 
 
 @dataclass(frozen=True)

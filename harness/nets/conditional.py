@@ -6,10 +6,10 @@ from collections.abc import Sequence
 
 from torch import Tensor, nn
 
-from harness.columns.bridge import Columns
+from harness.core.columns.bridge import Columns
+from harness.core.protocol.material import Material
 from harness.nets.encoding import ConditionEncoder
 from harness.nets.mlp import MLP
-from harness.protocol import Material
 
 
 class ConditionalMLP(nn.Module):

@@ -8,7 +8,7 @@ import drjit as dr
 import torch
 from torch import Tensor, nn
 
-from harness.columns.bridge import Columns, Float
+from harness.core.columns.bridge import Columns, Float
 from harness.nets.encoding import sinusoids, sinusoids_columns
 from harness.nets.mlp import MLP
 

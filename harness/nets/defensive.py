@@ -17,8 +17,9 @@ import drjit as dr
 import torch
 from torch import Tensor
 
-from harness.columns.bridge import Columns, Float
-from harness.protocol import InputError, inside_disk
+from harness.core.columns.bridge import Columns, Float
+from harness.core.protocol.disk import inside_disk
+from harness.core.protocol.errors import InputError
 
 
 def checked_share(share: float, name: str) -> float:

@@ -6,7 +6,7 @@ import drjit as dr
 import torch
 from torch import Tensor, nn
 
-from harness.columns.bridge import Columns, Float
+from harness.core.columns.bridge import Columns, Float
 
 _NO_PHASE = float(2**24)
 

@@ -16,7 +16,7 @@ import drjit as dr
 import torch
 from torch import Tensor, nn
 
-from harness.columns.bridge import Columns, Float
+from harness.core.columns.bridge import Columns, Float
 
 LOG_2PI = math.log(2 * math.pi)
 _RANGE = 10.0

@@ -10,8 +10,8 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from harness.columns.bridge import Columns, Float
-from harness.protocol import counting
+from harness.core.columns.bridge import Columns, Float
+from harness.core.protocol import counting
 
 _SLOPE = {"relu": 0.0, "leaky_relu": 0.01}
 

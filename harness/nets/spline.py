@@ -28,7 +28,7 @@ import drjit as dr
 import torch
 from torch import Tensor
 
-from harness.columns.bridge import Columns, Float
+from harness.core.columns.bridge import Columns, Float
 
 Bool = Any
 

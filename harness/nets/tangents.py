@@ -5,7 +5,7 @@ from __future__ import annotations
 import drjit as dr
 import drjit.nn
 
-from harness.columns.bridge import Columns
+from harness.core.columns.bridge import Columns
 from harness.nets.mlp import MLP
 
 

@@ -9,10 +9,10 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from harness.effects import Recipe
-from harness.protocol.disk import REC709
+from harness.core.protocol.disk import REC709
+from harness.effects.base import Recipe
+from harness.geometry.shapes import sphere_mesh
 from harness.scenes.base import AreaLamp, Camera, MaterialSpec, Mesh, PointLamp, Scene, Sphere
-from harness.scenes.shapes import sphere_mesh
 
 _WEIGHTS = np.array(REC709)
 _BLACK = {

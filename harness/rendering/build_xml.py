@@ -10,10 +10,10 @@ from xml.etree.ElementTree import Element
 
 import mitsuba as mi
 
-from harness.effects import Recipe
-from harness.protocol import InputError
+from harness.core.protocol.errors import InputError
+from harness.effects.base import Recipe
 from harness.rendering import plugin
-from harness.rendering.relay import RelayBSDF
+from harness.rendering.effect_wrapper import RelayBSDF
 from harness.scenes.base import XmlScene
 from harness.scenes.xml import light_kind
 

@@ -12,7 +12,7 @@ from typing import Any, TypeVar
 import drjit as dr
 import torch
 
-from harness.protocol import counting
+from harness.core.protocol import counting
 
 PARTS = ("sample", "pdf", "eval")
 """What a BSDF does: the method's sampler, its density, the material's reflectance."""

@@ -7,7 +7,8 @@ from typing import Any
 
 import drjit as dr
 
-from harness.protocol import Material, Method
+from harness.core.protocol.material import Material
+from harness.core.protocol.method import Method
 from harness.rendering.plugin import SampledBSDF
 
 Factor = Callable[[Any, Any], Any]

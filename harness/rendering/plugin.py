@@ -14,9 +14,12 @@ import drjit as dr
 import mitsuba as mi
 import torch
 
-from harness.columns import ColumnMethod, Columns, columns_of, tensor_of
-from harness.effects import Recipe
-from harness.protocol import Material, Method, luminance
+from harness.core.columns.bridge import Columns, columns_of, tensor_of
+from harness.core.columns.method import ColumnMethod
+from harness.core.protocol.disk import luminance
+from harness.core.protocol.material import Material
+from harness.core.protocol.method import Method
+from harness.effects.base import Recipe
 from harness.rendering.meter import Meter
 
 _OFFERED: dict[str, mi.BSDF] = {}

@@ -14,13 +14,17 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from harness.effects import Recipe, recipe_of, require_of
+from harness.core.protocol import counting
+from harness.core.protocol.errors import Unsupported
+from harness.core.protocol.material import Material
+from harness.core.protocol.method import Method
+from harness.effects.base import Recipe
+from harness.effects.offer import recipe_of, require_of
 from harness.materials import registry as materials
-from harness.protocol import Material, Method, Unsupported, counting
 from harness.rendering import build, counted_light, passes, plugin
 from harness.rendering.build_xml import build_xml
+from harness.rendering.effect_wrapper import RelayBSDF, needed
 from harness.rendering.meter import Meter
-from harness.rendering.relay import RelayBSDF, needed
 from harness.scenes.base import TESTED, MaterialSpec, Scene, XmlScene
 
 MakeBSDF = Callable[[Material, Method], plugin.SampledBSDF]
@@ -193,7 +197,7 @@ def _bsdf(material: Material, recipe: Recipe, meter: Meter | None) -> mi.BSDF:
     own = getattr(material, "bsdf", None)
     if own is not None:
         return RelayBSDF(own, recipe, meter) if needed(recipe, meter) else own
-    from harness import registry
+    from harness.core import registry
 
     native = registry.make("native")
     method = native if native.supports(material)[0] else registry.make("cosine")

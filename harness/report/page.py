@@ -7,8 +7,8 @@ from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from harness.analysis.results import Results
 from harness.report.formats.html import html
-from harness.report.results import Results
 from harness.report.table import Table
 from harness.report.tables.common import machine_words
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field, replace
 
-from harness.report import numbers
+from harness.analysis import numbers
 
 
 @dataclass(frozen=True)

@@ -8,12 +8,12 @@ from pathlib import Path
 
 from rich.console import Console
 
-from harness.protocol import InputError, nearest
+from harness.analysis.results import Results
+from harness.core.protocol.errors import InputError, nearest
 from harness.report.formats.console import print_table
 from harness.report.formats.csv import csv
 from harness.report.formats.latex import latex
 from harness.report.formats.markdown import markdown
-from harness.report.results import Results
 from harness.report.table import Table
 from harness.report.tables import TABLES
 
@@ -111,3 +111,8 @@ def _forget_old(report: Path, written: list[Path]) -> None:
         if path.is_relative_to(report.resolve()):
             path.unlink(missing_ok=True)
     listed.write_text("\n".join(now) + "\n", encoding="utf-8")
+
+
+def load(results_dir: str | Path) -> Report:
+    """The report of a results folder, to be written or printed."""
+    return Report.of(Path(results_dir))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from harness.protocol import InputError, nearest
+from harness.core.protocol.errors import InputError, nearest
 from harness.suite.load import Loaded
 from harness.suite.plan import DEFAULT_BASELINE
 from harness.suite.schema import NamedSpec, ReportSpec

@@ -2,7 +2,7 @@
 
 A unit can go to any machine: it needs the plan, the names in it, and a results folder that
 the workers share or that is gathered afterwards. Timed measures must have their machine to
-themselves (see :func:`harness.runner.turns.turn`).
+themselves (see :func:`harness.runner.machine_lock.turn`).
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from typing import Protocol
 
-from harness.protocol import InputError, nearest
+from harness.core.protocol.errors import InputError, nearest
 from harness.runner.todo import Unit
 
 

@@ -8,12 +8,14 @@ from typing import Any
 
 import torch
 
-from harness import registry, store
-from harness.effects import is_auto
+from harness.core import registry
+from harness.core.protocol.material import Material
+from harness.core.protocol.method import Method
+from harness.effects.registry import is_auto
 from harness.measures.base import Job
 from harness.measures.fit import restore
-from harness.protocol import Material, Method
-from harness.store import Stored
+from harness.store import trials as store
+from harness.store.trials import Stored
 from harness.suite.trials import FIT, Trial, stream_seed
 
 

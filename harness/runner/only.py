@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from harness.protocol import InputError, nearest
+from harness.core.protocol.errors import InputError, nearest
 from harness.suite.plan import Plan
 from harness.suite.trials import Trial
 

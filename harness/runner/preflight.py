@@ -5,15 +5,15 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from harness import registry
-from harness.protocol import InputError, nearest
+from harness.core import registry
+from harness.core.protocol.errors import InputError, nearest
 from harness.suite.plan import Plan
 from harness.suite.trials import Trial
 
 
 def ready(device: str) -> None:
     """Make Mitsuba and torch ready for ``device``, or say what is missing."""
-    from harness.rendering import variant
+    from harness.mitsuba_runtime import variant
 
     variant.use(device)
     if device == "cuda":
@@ -75,7 +75,8 @@ def check_effects(plan: Plan, trials: list[Trial]) -> None:
 
     Only a scene that names effects of the material has its material made here.
     """
-    from harness import effects
+    from harness.effects.offer import require_of
+    from harness.effects.registry import is_auto, parse
     from harness.materials import registry as materials
     from harness.scenes import registry as scenes
 
@@ -84,14 +85,14 @@ def check_effects(plan: Plan, trials: list[Trial]) -> None:
     for trial in pairs.values():
         scene = made.setdefault(f"scene {trial.scene}", None) or scenes.make(trial.scene_spec)
         made[f"scene {trial.scene}"] = scene
-        if effects.is_auto(scene.effects):
+        if is_auto(scene.effects):
             continue
-        if not any(effect.own for effect in effects.parse(scene.effects)):
+        if not any(effect.own for effect in parse(scene.effects)):
             continue
         if trial.material not in made:
             made[trial.material] = materials.make(trial.material_spec)
         try:
-            effects.require_of(scene, made[trial.material])
+            require_of(scene, made[trial.material])
         except InputError as error:
             raise InputError(f"{plan.where}: scenes: {error}") from None
 

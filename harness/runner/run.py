@@ -10,7 +10,6 @@ from pathlib import Path
 from rich.console import Console
 from rich.text import Text
 
-from harness import store
 from harness.measures.base import FAILED
 from harness.runner import executor as executors
 from harness.runner import only as only_option
@@ -18,6 +17,7 @@ from harness.runner import preflight
 from harness.runner.progress import Pace, Progress
 from harness.runner.todo import Todo, make_todo
 from harness.runner.worker import Worker
+from harness.store import trials as store
 from harness.suite.plan import Plan
 from harness.suite.trials import FIT, Trial
 

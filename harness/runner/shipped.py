@@ -13,11 +13,12 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from harness import registry
+from harness.core import registry
+from harness.core.paths import ROOT
+from harness.core.protocol.errors import InputError
+from harness.identity.source import digest, essence, read
 from harness.measures.base import Outcome, Record
-from harness.protocol import InputError
-from harness.source import ROOT, digest, essence, read
-from harness.store import Stored
+from harness.store.trials import Stored
 from harness.suite.trials import FIT, Trial, hash_of
 
 FOLDER = ROOT / "harness" / "fitted"

@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from harness import store
 from harness.measures.base import FAILED
 from harness.runner.only import Only
-from harness.store import Stored
+from harness.store import trials as store
+from harness.store.trials import Stored
 from harness.suite.plan import Plan
 from harness.suite.trials import FIT, Trial
 

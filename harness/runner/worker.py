@@ -14,17 +14,19 @@ from typing import Any
 import numpy as np
 import torch
 
-from harness import machine, registry, store
+from harness.core import machine, registry
+from harness.core.protocol.errors import BudgetExceeded, InputError, Unsupported
 from harness.measures import registry as measures
+from harness.measures.adapter_smoke_test import BadAdapter
 from harness.measures.base import Job, Outcome
-from harness.measures.guard import BadAdapter
-from harness.protocol import BudgetExceeded, InputError, Unsupported
-from harness.runner import shipped, sittings
+from harness.runner import process_repeats as sittings
+from harness.runner import shipped
 from harness.runner.jobs import Jobs
+from harness.runner.machine_lock import turn
 from harness.runner.progress import Progress
 from harness.runner.todo import FINAL, Group, Unit
-from harness.runner.turns import turn
-from harness.store import Stored
+from harness.store import trials as store
+from harness.store.trials import Stored
 from harness.suite.plan import Plan
 from harness.suite.trials import FIT, Trial, stream_seed
 

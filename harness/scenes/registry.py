@@ -21,13 +21,15 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from harness import effects
+from harness.core.paths import ROOT
+from harness.core.protocol.errors import InputError, nearest
+from harness.effects.offer import require_of
+from harness.effects.registry import checked, is_auto
+from harness.identity.source import covered, digest
 from harness.materials import registry as materials
-from harness.protocol import InputError, nearest
 from harness.scenes import library, xml
 from harness.scenes.base import Scene, XmlScene
 from harness.scenes.sizes import SIZES
-from harness.source import ROOT, covered, digest
 
 Spec = str | Mapping[str, Any]
 
@@ -56,7 +58,7 @@ def identity(spec: Spec, base_dir: Path | str | None = None) -> dict[str, Any]:
     scene = make(spec, base_dir)
     if isinstance(scene, XmlScene):
         found = xml.identity(scene, base_dir)
-        return found | ({"auto": _auto_source()} if effects.is_auto(scene.effects) else {})
+        return found | ({"auto": _auto_source()} if is_auto(scene.effects) else {})
     _, name, parameters = _arguments(spec)
     found = {
         "type": "named",
@@ -65,7 +67,7 @@ def identity(spec: Spec, base_dir: Path | str | None = None) -> dict[str, Any]:
         "effects": sorted(scene.effects),
         "source": digest(covered(Path(inspect.getfile(_function(name))), "harness.scenes")),
     }
-    if effects.is_auto(scene.effects):
+    if is_auto(scene.effects):
         found["auto"] = _auto_source()
     around = {str(shape.material): shape.material for shape in scene.shapes if shape.material}
     if around:
@@ -80,8 +82,8 @@ def make(spec: Spec, base_dir: Path | str | None = None) -> Scene | XmlScene:
     shown, name, parameters = _arguments(spec)
     scene = replace(_function(name)(**parameters), name=shown)
     if isinstance(spec, Mapping) and "effects" in spec:
-        scene = replace(scene, effects=effects.checked(spec["effects"], f"scene '{shown}'"))
-    effects.require_of(scene)
+        scene = replace(scene, effects=checked(spec["effects"], f"scene '{shown}'"))
+    require_of(scene)
     return scene
 
 

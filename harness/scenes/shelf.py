@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+from harness.geometry.solids import box, panel, ring, turned
 from harness.scenes.base import AreaLamp, Camera, Mesh, Scene, Sphere
 from harness.scenes.sizes import SCALE, Size
-from harness.scenes.solids import box, panel, ring, turned
 from harness.scenes.still_life import BOTTLE, BOWL, GOBLET, JAR, WALL, plain
 
 PAINT = plain("paint", 0.30, 0.38, 0.40)

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from harness.geometry.solids import box, panel, runner, turned
 from harness.scenes.base import AreaLamp, Camera, Mesh, Scene, Sphere
 from harness.scenes.environment import open_shade
 from harness.scenes.sizes import SCALE, Size
-from harness.scenes.solids import box, panel, runner, turned
 
 BOTTLE = (
     (0.0, 0.0), (0.36, 0.0), (0.43, 0.03), (0.45, 0.3), (0.45, 0.95), (0.40, 1.2), (0.22, 1.42),

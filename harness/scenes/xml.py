@@ -7,9 +7,11 @@ from pathlib import Path
 from typing import Any
 from xml.etree.ElementTree import Element
 
-from harness import effects, mitsuba_xml
+from harness.core.protocol.errors import InputError, nearest
+from harness.effects.offer import require_of
+from harness.effects.registry import checked
 from harness.materials import registry as materials
-from harness.protocol import InputError, nearest
+from harness.scenes import mitsuba_xml
 from harness.scenes.base import TESTED, XmlScene
 
 KEYS = ("name", "file", "replace_bsdf", "effects")
@@ -65,13 +67,13 @@ def make(spec: Mapping[str, Any], base_dir: Path | str | None) -> XmlScene:
         name,
         path,
         replaced,
-        effects.checked(spec.get("effects", _usual(lights)), where),
+        checked(spec.get("effects", _usual(lights)), where),
         f"{ids} of {path.name}",
         lights,
         any(sensor.get("type") in _LENSES for sensor in root.iter("sensor")),
         root.find(".//medium") is not None,
     )
-    effects.require_of(scene)
+    require_of(scene)
     return scene
 
 

@@ -9,12 +9,12 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from harness.protocol import InputError, nearest
-from harness.source import ROOT
-from harness.suite.refusal import refusal
+from harness.core.paths import ROOT
+from harness.core.protocol.errors import InputError, nearest
+from harness.core.refusal import refusal
+from harness.core.yamlfile import parse_yaml, read_yaml
 from harness.suite.schema import MethodSpec, NamedSpec, Suite
 from harness.suite.sweep import expand
-from harness.yamlfile import parse_yaml, read_yaml
 
 SUITES = ROOT / "suites"
 LISTS = ("materials", "methods", "scenes", "measures")
@@ -94,7 +94,7 @@ def load(name: str | Path) -> Loaded:
 
 def _label(methods: list[MethodSpec], folder: Path) -> None:
     """Make paths of adapters absolute and give every method its label."""
-    from harness import registry
+    from harness.core import registry
 
     for index, spec in enumerate(methods):
         file, colon, cls = spec.name.rpartition(":")

@@ -7,10 +7,11 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, TypeVar
 
-from harness import machine, registry
+from harness.core import machine, registry
+from harness.core.protocol.errors import InputError, nearest
+from harness.core.protocol.method import Budget
+from harness.identity.source import digest
 from harness.measures import registry as measures
-from harness.protocol import Budget, InputError, nearest
-from harness.source import digest
 from harness.suite.load import Loaded
 from harness.suite.schema import MethodSpec, NamedSpec, Profile, Suite
 from harness.suite.sweep import BUDGET

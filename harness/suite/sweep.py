@@ -14,9 +14,10 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from harness import registry
-from harness.protocol import InputError, Method, nearest
-from harness.suite.refusal import refusal
+from harness.core import registry
+from harness.core.protocol.errors import InputError, nearest
+from harness.core.protocol.method import Method
+from harness.core.refusal import refusal
 from harness.suite.schema import BudgetSpec, MethodSpec
 
 BUDGET = "budget."

@@ -7,7 +7,8 @@ import json
 from dataclasses import dataclass, field
 from typing import Any
 
-from harness.protocol import Budget, InputError
+from harness.core.protocol.errors import InputError
+from harness.core.protocol.method import Budget
 
 FIT = "fit"
 """Name of the measure that fits a method; all others need its result."""

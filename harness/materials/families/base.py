@@ -11,11 +11,11 @@ import drjit as dr
 import torch
 from torch import Tensor
 
-from harness.columns import ColumnMaterial
-from harness.columns.bridge import Columns, Float, columns_of, tensor_of
+from harness.core.columns.bridge import Columns, Float, columns_of, tensor_of
+from harness.core.columns.material import ColumnMaterial
+from harness.core.protocol.disk import square_to_disk
 from harness.materials.families.parameters import Parameter, check
 from harness.materials.families.slices import slices
-from harness.protocol import square_to_disk
 
 SWATCHES = 8
 """Tiles per side of the board on which a family of more than two free parameters is laid out."""

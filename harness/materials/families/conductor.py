@@ -15,7 +15,7 @@ from typing import Any
 
 import drjit as dr
 
-from harness.columns.bridge import Columns, Float
+from harness.core.columns.bridge import Columns, Float
 from harness.materials.families import ggx
 from harness.materials.families.hashing import exponential, generator_at
 from harness.materials.families.parameters import GGX_CONDUCTOR

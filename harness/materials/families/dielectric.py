@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import drjit as dr
 
-from harness.columns.bridge import Float
+from harness.core.columns.bridge import Float
 from harness.materials.families import ggx
 
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from harness.columns.bridge import Columns, Float
+from harness.core.columns.bridge import Columns, Float
 from harness.materials.families.base import Family
 from harness.materials.families.parameters import DISNEY, Parameter
 from harness.materials.mitsuba_bsdf import MitsubaMaterial, _mi

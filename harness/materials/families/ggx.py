@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 
 import drjit as dr
 
-from harness.columns.bridge import Columns, Float
+from harness.core.columns.bridge import Columns, Float
 
 Vector = Any
 """``drjit.llvm.ad.Array3f`` or its CUDA counterpart."""

@@ -12,7 +12,7 @@ from typing import Any
 
 import drjit as dr
 
-from harness.columns.bridge import Columns
+from harness.core.columns.bridge import Columns
 
 
 def generator_at(columns: Columns, seed: int) -> Any:

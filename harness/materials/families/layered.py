@@ -11,7 +11,7 @@ from typing import Any
 
 import drjit as dr
 
-from harness.columns.bridge import Columns, Float
+from harness.core.columns.bridge import Columns, Float
 from harness.materials.families import ggx
 from harness.materials.families.dielectric import fresnel, masking, pass_through
 from harness.materials.families.hashing import generator_at

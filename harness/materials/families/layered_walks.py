@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 import drjit as dr
 
-from harness.columns.bridge import Float
+from harness.core.columns.bridge import Float
 from harness.materials.families import ggx
 from harness.materials.families.dielectric import Passage, masking, pass_through
 from harness.materials.families.hashing import exponential

@@ -9,7 +9,7 @@ from typing import Any
 
 from torch import Tensor
 
-from harness.protocol import InputError, nearest
+from harness.core.protocol.errors import InputError, nearest
 
 
 @dataclass(frozen=True)

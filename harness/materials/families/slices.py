@@ -16,7 +16,7 @@ import drjit as dr
 import torch
 from torch import Tensor
 
-from harness.columns.bridge import Columns, columns_of, tensor_of
+from harness.core.columns.bridge import Columns, columns_of, tensor_of
 from harness.materials.families.hashing import generator_at
 
 STRATA = 4

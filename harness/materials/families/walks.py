@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 import torch
 from torch import Tensor
 
-from harness.columns.bridge import Columns, Float, columns_of, tensor_of
+from harness.core.columns.bridge import Columns, Float, columns_of, tensor_of
 from harness.materials.families.base import Family
 from harness.materials.families.hashing import generator_at
 

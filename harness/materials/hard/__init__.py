@@ -1,17 +1,1 @@
-"""Materials that are hard on purpose, by name: what a scene can hold at its worst.
-
-Cheap to evaluate and without textures, except where the texture is the difficulty. The cases
-that they stand for are in :mod:`harness.check.catalogue`.
-"""
-
-from harness.materials.hard import flat, holes, lobes, specular
-from harness.materials.hard.base import DiskMaterial, Made
-
-MATERIALS: dict[str, Made] = {
-    **specular.MATERIALS,
-    **lobes.MATERIALS,
-    **flat.MATERIALS,
-    **holes.MATERIALS,
-}
-
-__all__ = ["MATERIALS", "DiskMaterial", "Made"]
+"""Materials that are hard on purpose: what a scene can hold at its worst."""

@@ -11,7 +11,8 @@ from typing import Any, ClassVar
 import torch
 from torch import Tensor
 
-from harness.protocol import Material, inside_disk, luminance
+from harness.core.protocol.disk import inside_disk, luminance
+from harness.core.protocol.material import Material
 
 WHITE = (1.0, 1.0, 1.0)
 

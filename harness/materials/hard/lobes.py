@@ -17,8 +17,8 @@ from typing import ClassVar, NamedTuple
 import torch
 from torch import Tensor
 
+from harness.core.protocol.disk import luminance
 from harness.materials.hard.base import DiskMaterial, Made
-from harness.protocol import luminance
 
 
 class Lobe(NamedTuple):

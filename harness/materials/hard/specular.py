@@ -6,8 +6,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from harness.core.protocol.material import Material
 from harness.materials.hard.base import Made
-from harness.protocol import Material
 
 
 def _metal(**alpha: float) -> Callable[[str, dict[str, Any]], Material]:

@@ -6,17 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from harness.materials.procedural import (
-    SIZE,
-    bitmap,
-    blur,
-    colour,
-    grid,
-    mix,
-    normal_map,
-    smoothstep,
-    weave,
-)
+from harness.textures.maps import bitmap, colour, mix, normal_map, smoothstep
+from harness.textures.noise import blur, grid
+from harness.textures.patterns import weave
+from harness.textures.sizes import SIZE
 
 SUMMARY = "several lobes: brocade of silk warp and gilt weft, crossed anisotropic lobes"
 

@@ -6,17 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from harness.materials.procedural import (
-    SIZE,
-    anisotropic_alpha,
-    bitmap,
-    blur,
-    fbm,
-    mix,
-    ramp,
-    scratches,
-    unit_range,
-)
+from harness.textures.maps import anisotropic_alpha, bitmap, mix, ramp, unit_range
+from harness.textures.noise import blur, fbm
+from harness.textures.patterns import scratches
+from harness.textures.sizes import SIZE
 
 SUMMARY = "anisotropic: brushed steel, a narrow highlight stretched across the brushing"
 

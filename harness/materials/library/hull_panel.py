@@ -6,22 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from harness.materials.procedural import (
-    SIZE,
-    bitmap,
-    blur,
-    box_distance,
-    colour,
-    fbm,
-    grid,
-    mix,
-    normal_map,
-    panels,
-    rivets,
-    scratches,
-    smoothstep,
-    unit_range,
-)
+from harness.textures.maps import bitmap, colour, mix, normal_map, smoothstep, unit_range
+from harness.textures.noise import blur, fbm, grid
+from harness.textures.patterns import box_distance, panels, rivets, scratches
+from harness.textures.sizes import SIZE
 
 SUMMARY = "spatially varying mixture: hull panels of worn paint and bare metal, embossed"
 

@@ -4,20 +4,17 @@ from __future__ import annotations
 
 from typing import Any
 
-from harness.materials.procedural import (
-    SIZE,
+from harness.textures.maps import (
     anisotropic_alpha,
     bitmap,
-    blur,
-    fbm,
-    gradient_noise,
-    grid,
     mix,
     normal_map,
     ramp,
     smoothstep,
     unit_range,
 )
+from harness.textures.noise import blur, fbm, gradient_noise, grid
+from harness.textures.sizes import SIZE
 
 SUMMARY = "anisotropic and normal-mapped: flows of set bronze with rougher slag"
 

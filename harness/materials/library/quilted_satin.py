@@ -6,18 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from harness.materials.procedural import (
-    SIZE,
-    bitmap,
-    blur,
-    fbm,
-    grid,
-    mix,
-    normal_map,
-    ramp,
-    smoothstep,
-    unit_range,
-)
+from harness.textures.maps import bitmap, mix, normal_map, ramp, smoothstep, unit_range
+from harness.textures.noise import blur, fbm, grid
+from harness.textures.sizes import SIZE
 
 SUMMARY = "one broad highlight on a strong relief: quilted satin with stitched seams"
 

@@ -4,18 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
-from harness.materials.procedural import (
-    SIZE,
-    bitmap,
-    blur,
-    cellular,
-    fbm,
-    mix,
-    normal_map,
-    ramp,
-    smoothstep,
-    unit_range,
-)
+from harness.textures.maps import bitmap, mix, normal_map, ramp, smoothstep, unit_range
+from harness.textures.noise import blur, cellular, fbm
+from harness.textures.sizes import SIZE
 
 SUMMARY = "one isotropic highlight: polished saddle leather with fine grain"
 

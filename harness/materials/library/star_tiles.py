@@ -6,20 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from harness.materials.procedural import (
-    SIZE,
-    bitmap,
-    blur,
-    cellular,
-    colour,
-    fbm,
-    mix,
-    normal_map,
-    ramp,
-    smoothstep,
-    star_tiles,
-    unit_range,
-)
+from harness.textures.maps import bitmap, colour, mix, normal_map, ramp, smoothstep, unit_range
+from harness.textures.noise import blur, cellular, fbm
+from harness.textures.patterns import star_tiles
+from harness.textures.sizes import SIZE
 
 SUMMARY = "spatially varying mixture: glossy glazed star tiles in matt grout"
 

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
-from harness.materials.procedural import SIZE, bitmap, blur, fbm, normal_map, ramp, unit_range
+from harness.textures.maps import bitmap, normal_map, ramp, unit_range
+from harness.textures.noise import blur, fbm
+from harness.textures.sizes import SIZE
 
 SUMMARY = "near-diffuse: brushed suede with a soft sheen"
 

@@ -6,18 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from harness.materials.procedural import (
-    SIZE,
-    bitmap,
-    blur,
-    cellular,
-    fbm,
-    mix,
-    normal_map,
-    ramp,
-    smoothstep,
-    unit_range,
-)
+from harness.textures.maps import bitmap, mix, normal_map, ramp, smoothstep, unit_range
+from harness.textures.noise import blur, cellular, fbm
+from harness.textures.sizes import SIZE
 
 SUMMARY = "layered coat on relief: tortoise shell, anisotropic body under a clear coat"
 

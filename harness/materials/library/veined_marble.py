@@ -6,19 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from harness.materials.procedural import (
-    SIZE,
-    bitmap,
-    blur,
-    colour,
-    fbm,
-    gradient_noise,
-    grid,
-    mix,
-    ramp,
-    smoothstep,
-    unit_range,
-)
+from harness.textures.maps import bitmap, colour, mix, ramp, smoothstep, unit_range
+from harness.textures.noise import blur, fbm, gradient_noise, grid
+from harness.textures.sizes import SIZE
 
 SUMMARY = "layered coat: polished ochre marble, a sharp coat over a diffuse body"
 

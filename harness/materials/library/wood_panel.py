@@ -6,20 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from harness.materials.procedural import (
-    SIZE,
-    bitmap,
-    blur,
-    fbm,
-    gradient_noise,
-    grid,
-    mix,
-    normal_map,
-    planks,
-    ramp,
-    smoothstep,
-    unit_range,
-)
+from harness.textures.maps import bitmap, mix, normal_map, ramp, smoothstep, unit_range
+from harness.textures.noise import blur, fbm, gradient_noise, grid
+from harness.textures.patterns import planks
+from harness.textures.sizes import SIZE
 
 SUMMARY = "anisotropic and coated: varnished walnut boards, fibre highlight under a satin coat"
 

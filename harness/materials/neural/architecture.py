@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
 from typing import Any
 
-from harness.protocol import InputError, nearest
+from harness.core.protocol.errors import InputError, nearest
 
 ACTIVATIONS = ("leaky_relu", "relu")
 OUTPUTS = ("linear", "log1p")

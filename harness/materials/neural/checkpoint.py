@@ -18,11 +18,11 @@ from pathlib import Path
 
 from torch import Tensor
 
+from harness.core.protocol.errors import InputError
 from harness.materials.neural import restricted_pickle
 from harness.materials.neural.architecture import Architecture
 from harness.materials.neural.network import NeuralMBTF
 from harness.materials.neural.storage import filled
-from harness.protocol import InputError
 
 PREFIX = "model."
 OFFSET_BLUR = 2.0

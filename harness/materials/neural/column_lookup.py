@@ -8,7 +8,7 @@ import drjit as dr
 import numpy as np
 from torch import Tensor
 
-from harness.columns.bridge import Columns, Float
+from harness.core.columns.bridge import Columns, Float
 from harness.materials.neural import textures
 
 _PACKET = 4

@@ -10,7 +10,7 @@ import hashlib
 from pathlib import Path
 from typing import Any
 
-from harness.protocol import InputError, nearest
+from harness.core.protocol.errors import InputError, nearest
 
 SHIPPED = Path(__file__).parent / "shipped"
 SUFFIXES = (".ckpt", ".safetensors")

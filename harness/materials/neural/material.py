@@ -10,12 +10,13 @@ import drjit as dr
 import torch
 from torch import Tensor
 
-from harness.columns import ColumnMaterial
-from harness.columns.bridge import Columns, Float, columns_of, tensor_of
+from harness.core.columns.bridge import Columns, Float, columns_of, tensor_of
+from harness.core.columns.material import ColumnMaterial
+from harness.core.protocol import counting
+from harness.core.protocol.disk import square_to_disk
 from harness.materials.neural.column_lookup import ColumnTable
 from harness.materials.neural.network import NeuralMBTF
 from harness.materials.neural.offset import STEEPEST
-from harness.protocol import counting, square_to_disk
 
 EFFECTS = frozenset({"parallax", "prefiltering"})
 

@@ -12,10 +12,10 @@ from __future__ import annotations
 import torch
 from torch import Tensor, nn
 
+from harness.core.protocol.disk import cos_theta
 from harness.materials.neural import textures
 from harness.materials.neural.architecture import Architecture
-from harness.nets import MLP
-from harness.protocol import cos_theta
+from harness.nets.mlp import MLP
 
 STEEPEST = 0.6
 """The least cosine that a shift is divided by."""

@@ -18,7 +18,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from harness.protocol import InputError
+from harness.core.protocol.errors import InputError
 
 _DTYPES = {
     "FloatStorage": torch.float32,

@@ -10,9 +10,9 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from harness.core.protocol.errors import InputError
 from harness.materials.neural.architecture import Architecture
 from harness.materials.neural.network import NeuralMBTF
-from harness.protocol import InputError
 
 FORMAT = "neural-material 1"
 """Under ``format`` in the metadata. The number goes up when the same file would mean another f."""

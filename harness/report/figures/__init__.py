@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from harness.analysis.results import Results
 from harness.report.figures.breakeven import breakeven
 from harness.report.figures.canvas import Canvas, Drawn
 from harness.report.figures.convergence import convergence
@@ -19,7 +20,6 @@ from harness.report.figures.materials import materials
 from harness.report.figures.pareto import pareto
 from harness.report.figures.slices import slices
 from harness.report.figures.tradeoff import tradeoff
-from harness.report.results import Results
 
 FIGURES: dict[str, Callable[[Results, Canvas], list[Drawn] | str]] = {
     "materials": materials,

@@ -10,10 +10,10 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import LogFormatterMathtext
 
-from harness.report.breakeven import TIMES, CostLine, Costs, costs, timed_scenes
+from harness.analysis.breakeven import TIMES, CostLine, Costs, costs, timed_scenes
+from harness.analysis.results import Results
 from harness.report.figures.canvas import Canvas, Drawn, grid_shape, log_ticks, styled
 from harness.report.figures.palette import Look, looks
-from harness.report.results import Results
 
 _BEYOND = 3
 """By what factor a panel reaches beyond its lines."""

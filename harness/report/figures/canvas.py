@@ -16,7 +16,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter, NullLocator
 
-from harness.report import numbers
+from harness.analysis import numbers
 
 DPI = 160
 _PNG_LEVEL = 4

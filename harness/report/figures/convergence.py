@@ -7,9 +7,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
+from harness.analysis.results import Results
 from harness.report.figures.canvas import Canvas, Drawn, grid_shape, log_ticks, styled
 from harness.report.figures.palette import Look, looks
-from harness.report.results import Results
 
 MEASURE = "convergence"
 _BELOW = 1e-30

@@ -5,9 +5,9 @@ from __future__ import annotations
 from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
+from harness.analysis.results import Results
 from harness.report.figures.canvas import Canvas, Drawn, picture, sheet, styled
 from harness.report.figures.rendered import exposure, srgb
-from harness.report.results import Results
 from harness.report.tables.effects import MEASURE, Rows, effects_of, trials, verdict
 
 _CELL, _LABEL, _UNDER = 1.9, 0.2, 0.3

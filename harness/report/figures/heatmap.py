@@ -7,9 +7,9 @@ import textwrap
 from matplotlib.axes import Axes
 from matplotlib.patches import Patch, Rectangle
 
+from harness.analysis.results import Results
+from harness.analysis.verdicts import MEASURE, CaseRow, Entry, case_rows, groups
 from harness.report.figures.canvas import Canvas, Drawn, sheet, styled, wrapped
-from harness.report.results import Results
-from harness.report.verdicts import MEASURE, CaseRow, Entry, case_rows, groups
 
 # Blue to orange, dark only where it fails: in order also without colour vision, and in print.
 _FACE = {"pass": "#c6dbef", "degraded": "#fdbe85", "fail": "#b34700", "skip": "#ffffff"}

@@ -9,12 +9,12 @@ from matplotlib.axes import Axes
 from matplotlib.patches import Rectangle
 from numpy.typing import NDArray
 
-from harness.report.combine import Estimate
+from harness.analysis.combine import Estimate
+from harness.analysis.results import MethodColumn, Results
 from harness.report.figures.canvas import Canvas, Drawn, picture, sheet, styled, wrapped
 from harness.report.figures.rendered import LUMINANCE, exposure, reference, srgb
 from harness.report.figures.slices import missing
 from harness.report.formats.short import short
-from harness.report.results import MethodColumn, Results
 
 MEASURE = "equal-time"
 _IMAGE = "equal_time"

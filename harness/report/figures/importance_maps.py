@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from harness.analysis.results import Results
 from harness.report.figures.canvas import Canvas, Drawn, picture, sheet, styled, wrapped
 from harness.report.formats.short import short
-from harness.report.results import Results
 
 MEASURE = "importance-maps"
 _PANEL = 1.1

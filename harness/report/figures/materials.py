@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+from harness.analysis.results import Results
 from harness.report.figures.canvas import Canvas, Drawn, picture, sheet, styled
 from harness.report.figures.rendered import exposure, reference, srgb
-from harness.report.results import Results
 
 MEASURE = "equal-spp"
 _ACROSS, _CELL, _LABEL = 6, 1.5, 0.22

@@ -10,7 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from harness.report.results import MethodColumn, Results
+from harness.analysis.results import MethodColumn, Results
 
 _DASHED, _DOTTED, _DASH_DOT = (0, (5, 2)), (0, (1, 1.5)), (0, (6, 1.5, 1, 1.5))
 

@@ -12,15 +12,15 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.transforms import Bbox
 
-from harness.report.combine import Estimate, geometric_mean
-from harness.report.families import Family, families
+from harness.analysis.combine import Estimate, geometric_mean
+from harness.analysis.families import Family, families
+from harness.analysis.front import Standing, standings
+from harness.analysis.pareto import CHARTS, Chart
+from harness.analysis.results import Results
 from harness.report.figures.canvas import Canvas, Drawn, grid_shape, log_ticks, styled
 from harness.report.figures.knob_path import inserted
 from harness.report.figures.labels import Label, place
 from harness.report.figures.palette import Look, looks_of
-from harness.report.front import Standing, standings
-from harness.report.pareto import CHARTS, Chart
-from harness.report.results import Results
 
 ALL = "geometric mean"
 _OPACITY = {"front": 1.0, "possibly": 0.6, "surely": 0.22}

@@ -10,9 +10,9 @@ from matplotlib.axes import Axes
 from matplotlib.colors import PowerNorm
 from matplotlib.patches import Circle
 
+from harness.analysis.results import MethodColumn, Results
 from harness.report.figures.canvas import Canvas, Drawn, picture, sheet, styled, wrapped
 from harness.report.formats.short import short
-from harness.report.results import MethodColumn, Results
 
 MEASURE = "slices"
 _ROWS = 12

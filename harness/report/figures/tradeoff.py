@@ -9,11 +9,11 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from harness.report.combine import Estimate, geometric_mean
+from harness.analysis.combine import Estimate, geometric_mean
+from harness.analysis.quantities import nanoseconds_per_sample
+from harness.analysis.results import MethodColumn, Results
 from harness.report.figures.canvas import Canvas, Drawn, grid_shape, log_ticks, styled
 from harness.report.figures.palette import Look, looks
-from harness.report.quantities import nanoseconds_per_sample
-from harness.report.results import MethodColumn, Results
 
 _ALL = "geometric mean"
 

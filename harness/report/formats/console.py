@@ -9,7 +9,7 @@ from rich.console import Console
 from rich.table import Table as Grid
 from rich.text import Text
 
-from harness.report import numbers
+from harness.analysis import numbers
 from harness.report.table import Cell, Footnotes, Section, Table
 
 _GAP = 2

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from harness.report.results import Results
+from harness.analysis.results import Results
 from harness.report.table import Table
 from harness.report.tables.bias import bias
 from harness.report.tables.breakeven import breakeven

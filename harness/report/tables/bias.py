@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from harness.report import numbers
-from harness.report.combine import Estimate
-from harness.report.results import MethodColumn, Results
+from harness.analysis import numbers
+from harness.analysis.combine import Estimate
+from harness.analysis.results import MethodColumn, Results
 from harness.report.table import Cell, Row, Section, Table
 from harness.report.tables.common import circumstances
-from harness.stats import holm
+from harness.stats.ztest import holm
 
 LEVEL = 0.05
 """Chance that any unbiased method at all is called biased, over the whole table."""

@@ -5,13 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
-from harness.report import numbers
-from harness.report.breakeven import TIMES, CostLine, Costs, costs, timed_scenes
-from harness.report.results import MethodColumn, Results
+from harness.analysis import numbers
+from harness.analysis.breakeven import TIMES, CostLine, Costs, costs, timed_scenes
+from harness.analysis.results import MethodColumn, Results
 from harness.report.table import Cell, Row, Section, Table
 from harness.report.tables.bias import bias_warnings
 from harness.report.tables.common import circumstances
-from harness.stats import Crossing
+from harness.stats.crossing import Crossing
 
 Warnings = Callable[[str, str, str], str]
 """(material, method, scene) -> what makes the method's number doubtful."""

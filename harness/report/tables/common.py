@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from harness.report.combine import Estimate
-from harness.report.results import MethodColumn, Results
+from harness.analysis.combine import Estimate
+from harness.analysis.results import MethodColumn, Results
 from harness.report.table import Cell, Row, embolden
 
 Number = Callable[[str, MethodColumn], Estimate | str]

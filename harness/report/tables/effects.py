@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable
 from typing import Any
 
-from harness.report.results import Results
+from harness.analysis.results import Results
 from harness.report.table import Cell, Row, Section, Table
 from harness.report.tables.common import circumstances
 

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from harness.report import numbers
-from harness.report.combine import Estimate
-from harness.report.results import MethodColumn, Results
+from harness.analysis import numbers
+from harness.analysis.combine import Estimate
+from harness.analysis.results import MethodColumn, Results
 from harness.report.table import Cell, Row, Section, Table
 from harness.report.tables.bias import LEVEL
 from harness.report.tables.common import cell, circumstances
-from harness.stats import holm
+from harness.stats.ztest import holm
 
 MEASURE = "image-checks"
 CHECKS = {

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from harness.report.results import MethodColumn, Results
+from harness.analysis.results import MethodColumn, Results
 from harness.report.table import Cell, Row, Section, Table, embolden
 from harness.report.tables.common import BOLD_LEGEND, as_baseline, circumstances
 from harness.stats.intervals import geometric_mean, mean_interval

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from harness.report.results import Results
+from harness.analysis.results import Results
 from harness.report.table import Cell, Row, Section, Table
 
 MEASURE, TIMES = "levels", "stages"

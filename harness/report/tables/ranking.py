@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 
-from harness.report import numbers
-from harness.report.combine import Estimate
-from harness.report.ranking import MEASURE, Standing, standings
-from harness.report.results import MethodColumn, Results
+from harness.analysis import numbers
+from harness.analysis.combine import Estimate
+from harness.analysis.ranking import MEASURE, Standing, standings
+from harness.analysis.results import MethodColumn, Results
 from harness.report.table import Cell, Row, Section, Table, embolden
 from harness.report.tables.bias import bias_warnings
 from harness.report.tables.common import cell, circumstances

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from harness.report.combine import Estimate, geometric_mean
-from harness.report.results import Results
+from harness.analysis.combine import Estimate, geometric_mean
+from harness.analysis.results import Results
 from harness.report.table import Section, Table
 from harness.report.tables.common import circumstances, legend, material_rows
 

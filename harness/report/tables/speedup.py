@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 
-from harness.report.combine import Estimate, geometric_mean, ratio
-from harness.report.marks import disturbed
-from harness.report.published import neusample
-from harness.report.results import MethodColumn, Results
+from harness.analysis.combine import Estimate, geometric_mean, ratio
+from harness.analysis.marks import disturbed
+from harness.analysis.results import MethodColumn, Results
+from harness.report.published.neusample import neusample
 from harness.report.table import Cell, Row, Section, Table
 from harness.report.tables.bias import bias_warnings
 from harness.report.tables.common import as_baseline, circumstances, legend, material_rows

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from harness.report import numbers
-from harness.report.results import Results
+from harness.analysis import numbers
+from harness.analysis.results import Results
+from harness.analysis.verdicts import MEASURE, CaseRow, Entry, case_rows, false_alarm, groups
 from harness.report.table import Cell, Row, Section, Table
 from harness.report.tables.common import circumstances
-from harness.report.verdicts import MEASURE, CaseRow, Entry, case_rows, false_alarm, groups
 
 _WORDS = {"pass": "pass", "degraded": "degraded", "fail": "FAIL"}
 _COUNTED = (("pass", "pass"), ("degraded", "degraded"), ("fail", "FAIL"), ("skip", "no answer"))

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from harness.report.results import Results
+from harness.analysis.results import Results
 from harness.report.table import Cell, Row, Section, Table
-from harness.store import NOT_RUN
+from harness.store.trials import NOT_RUN
 
 _COLUMNS = ("method", "measure", "status", "reason")
 

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from harness.report import numbers
-from harness.report.combine import Estimate, geometric_mean
-from harness.report.marks import disturbed
-from harness.report.published import Published, neusample
-from harness.report.quantities import scaled
-from harness.report.results import MethodColumn, Results
+from harness.analysis import numbers
+from harness.analysis.combine import Estimate, geometric_mean
+from harness.analysis.marks import disturbed
+from harness.analysis.quantities import scaled
+from harness.analysis.results import MethodColumn, Results
+from harness.report.published.neusample import Published, neusample
 from harness.report.table import Cell, Row, Section, Table
 from harness.report.tables.common import cell, circumstances
 

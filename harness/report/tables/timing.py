@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from statistics import median
 
-from harness.report import numbers
-from harness.report.combine import Estimate, geometric_mean
-from harness.report.marks import disturbed
-from harness.report.quantities import nanoseconds_per_sample, scaled
-from harness.report.results import MethodColumn, Results
+from harness.analysis import numbers
+from harness.analysis.combine import Estimate, geometric_mean
+from harness.analysis.marks import disturbed
+from harness.analysis.quantities import nanoseconds_per_sample, scaled
+from harness.analysis.results import MethodColumn, Results
 from harness.report.table import Cell, Row, Section, Table
 from harness.report.tables.common import cell, circumstances
 

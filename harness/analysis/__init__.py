@@ -1,0 +1,1 @@
+"""Numbers from stored arrays: pure functions, nothing that measures is imported."""

@@ -1,0 +1,221 @@
+"""What is stored, as tables and figures ask for it: by material, method, scene and measure."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+import pandas as pd
+
+from harness.analysis.combine import Estimate, over_seeds
+from harness.store.trials import Stored, load_plan, load_results, load_trial
+
+T = TypeVar("T")
+
+NO_TRIAL = "not planned: the suite has no such trial"
+CEILING = "tabulated"
+"""The method that is shown, but is too slow and too large to win."""
+
+
+@dataclass(frozen=True)
+class MethodColumn:
+    """A method as a table's column: its label, and the registry name behind it."""
+
+    label: str
+    name: str
+
+    @property
+    def ceiling(self) -> bool:
+        return self.name == CEILING
+
+
+@dataclass
+class Results:
+    """The records of one results folder, and its raw outputs when asked for.
+
+    ``frame`` has the columns of :func:`harness.store.trials.load_results`, in the suite's order;
+    ``plan`` is that of :func:`harness.store.trials.load_plan`.
+    """
+
+    folder: Path
+    frame: pd.DataFrame
+    plan: dict[str, Any]
+
+    @classmethod
+    def load(cls, folder: str | Path) -> Results:
+        return cls(Path(folder), load_results(folder), load_plan(folder))
+
+    # --- what there is, in the suite's order -------------------------------------------------
+
+    @cached_property
+    def methods(self) -> list[MethodColumn]:
+        """The suite's order, the ceiling last."""
+        names = {row["method"]: _registry_name(row) for row in self.plan["trials"]}
+        columns = [MethodColumn(label, names[label]) for label in self._values("method")]
+        return sorted(columns, key=lambda column: column.ceiling)
+
+    @cached_property
+    def materials(self) -> list[str]:
+        return self._values("material")
+
+    def scenes(self, measure: str) -> list[str]:
+        """Scenes in which the measure is taken; [""] for a measure without one."""
+        return list(dict.fromkeys(row["scene"] for row in self.rows(measure)))
+
+    def has(self, measure: str) -> bool:
+        """Whether the suite asks for the measure (its trials may all have failed)."""
+        return bool(self.rows(measure))
+
+    @cached_property
+    def baseline(self) -> str:
+        """Label of the reference method; "" if the suite names none."""
+        name = str(self.plan.get("baseline") or "")
+        return next((m.label for m in self.methods if name in (m.label, m.name)), name)
+
+    @property
+    def title(self) -> str:
+        return str(self.plan.get("title") or self.plan.get("suite") or self.folder.name)
+
+    @property
+    def profile(self) -> str:
+        """Name of the profile that was run; "" if the suite has none."""
+        return str(self.plan.get("profile") or "")
+
+    def wanted(self, kind: str) -> list[str] | None:
+        """Names under the suite's ``report: {tables, figures}``; None if it does not say."""
+        names = (self.plan.get("report") or {}).get(kind)
+        return None if names is None else [str(name) for name in names]
+
+    # --- one number --------------------------------------------------------------------------
+
+    def rows(
+        self,
+        measure: str,
+        material: str | None = None,
+        method: str | None = None,
+        scene: str | None = None,
+    ) -> list[dict[str, Any]]:
+        """All rows of these trials; None stands for any."""
+        found = self._index.get((measure, material, method), [])
+        return found if scene is None else [row for row in found if row["scene"] == scene]
+
+    def number(
+        self, measure: str, metric: str, material: str, method: str, scene: str = ""
+    ) -> Estimate | str:
+        """The number over all seeds, or the reason why there is none.
+
+        If some seeds failed it is that of the others, with a note.
+        """
+        rows = self.rows(measure, material, method, scene)
+        if not rows:
+            return NO_TRIAL
+        found = [
+            row
+            for row in rows
+            if row["metric"] == metric and row["status"] == "ok" and not math.isnan(row["value"])
+        ]
+        if not found:
+            return _why(rows, measure, metric)
+        number = over_seeds([_estimate(row) for row in found])
+        good = {row["trial"] for row in found}
+        seeds = {row["trial"] for row in rows}
+        if good != seeds:
+            lost = _why([row for row in rows if row["trial"] not in good], measure, metric)
+            return replace(number, note=f"{len(good)} of {len(seeds)} seeds only; {lost}")
+        return number
+
+    def why_missing(self, measure: str, material: str, method: str, scene: str = "") -> str:
+        """Why there is no such trial that ended well."""
+        rows = self.rows(measure, material, method, scene)
+        return _why(rows, measure, "") if rows else NO_TRIAL
+
+    # --- raw outputs -------------------------------------------------------------------------
+
+    def trials(
+        self,
+        measure: str,
+        material: str | None = None,
+        method: str | None = None,
+        scene: str | None = None,
+    ) -> list[str]:
+        """Hashes of the trials with a number, in the suite's order."""
+        rows = self.rows(measure, material, method, scene)
+        return list(dict.fromkeys(row["trial"] for row in rows if row["status"] == "ok"))
+
+    def stored(self, trial: str) -> Stored:
+        """A trial with its arrays and images."""
+        if trial not in self._opened:
+            self._opened[trial] = load_trial(self.folder, trial)
+        return self._opened[trial]
+
+    def arrays(self, trial: str) -> dict[str, np.ndarray]:
+        """The raw arrays of a trial."""
+        return self.stored(trial).arrays
+
+    def counts(self, measure: str, name: str) -> str:
+        """Length of an array over all trials of a measure, as "8" or "8 to 12"; "" if none."""
+        lengths = {
+            len(arrays[name])
+            for trial in self.trials(measure)
+            if name in (arrays := self.arrays(trial))
+        }
+        if len(lengths) < 2:
+            return "".join(map(str, lengths))
+        return f"{min(lengths)} to {max(lengths)}"
+
+    def once(self, function: Callable[..., T], *at: str) -> T:
+        """``function(self, *at)``, asked for once: table and figure draw the same resamples."""
+        if (function, at) not in self._made:
+            self._made[function, at] = function(self, *at)
+        return self._made[function, at]
+
+    # --- inside ------------------------------------------------------------------------------
+
+    @cached_property
+    def _made(self) -> dict[tuple[Callable, tuple[str, ...]], Any]:
+        return {}
+
+    @cached_property
+    def _opened(self) -> dict[str, Stored]:
+        return {}
+
+    @cached_property
+    def _index(self) -> dict[tuple[str, str | None, str | None], list[dict[str, Any]]]:
+        """Rows by (measure, material, method), and by those with None for any."""
+        index: dict[tuple[str, str | None, str | None], list[dict[str, Any]]] = {}
+        for row in self.frame.to_dict("records"):
+            for material in (row["material"], None):
+                for method in (row["method"], None):
+                    index.setdefault((row["measure"], material, method), []).append(row)
+        return index
+
+    def _values(self, column: str) -> list[str]:
+        return list(dict.fromkeys(self.frame[column]))
+
+
+def _why(rows: list[dict[str, Any]], measure: str, metric: str) -> str:
+    """Status and reason of the rows that failed; without one, the number was never recorded."""
+    failed = [row for row in rows if row["status"] != "ok"]
+    exact = [row for row in failed if row["metric"] == metric]
+    for row in [*exact, *failed][:1]:
+        reason = " ".join(str(row["reason"]).split())
+        return f"{row['status']}: {reason}" if reason else str(row["status"])
+    if any(row["metric"] == metric for row in rows):
+        return f"nonfinite: {metric} of {measure} is not a number"
+    return f"not recorded: {metric} of {measure}"
+
+
+def _registry_name(row: dict[str, Any]) -> str:
+    method = row["identity"].get("method")
+    return str(method["name"]) if isinstance(method, dict) else str(row["method"])
+
+
+def _estimate(row: dict[str, Any]) -> Estimate:
+    low, high = row["ci_low"], row["ci_high"]
+    known = not (math.isnan(low) or math.isnan(high))
+    return Estimate(row["value"], *((low, high) if known else ()))

@@ -1,0 +1,1 @@
+"""The floor: protocol, columns, random streams, schemas, versions. Imports nothing of ours."""

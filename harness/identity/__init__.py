@@ -1,0 +1,1 @@
+"""What a stored number stands on, and whether it still stands."""

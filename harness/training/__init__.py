@@ -1,0 +1,1 @@
+"""How neural materials are made: recipes, training, energies, quality, previews."""
