@@ -1,0 +1,59 @@
+"""What a computation makes the machine do: kernels of Dr.Jit and operations of torch.
+
+Equal numbers may take unequal time. A time stands after a change of code only if the same kernels
+run on the same sizes, and the same tensor operations in the same order.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from typing import Any
+
+
+@dataclass
+class Work:
+    """``kernels`` as (hash, size, operations) and ``operations`` as (name, shapes), in order."""
+
+    kernels: list[tuple[str, int, int]] = field(default_factory=list)
+    operations: list[tuple[str, str]] = field(default_factory=list)
+
+    @property
+    def digest(self) -> str:
+        """Equal for equal work."""
+        text = repr((self.kernels, self.operations))
+        return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+@contextmanager
+def recorded() -> Iterator[Work]:
+    """The work of the block; known when it ends."""
+    import drjit as dr
+    from torch.utils._python_dispatch import TorchDispatchMode
+
+    work = Work()
+
+    class Watch(TorchDispatchMode):
+        def __torch_dispatch__(
+            self, func: Any, types: Any, args: Any = (), kwargs: Any = None
+        ) -> Any:
+            shapes = [tuple(a.shape) for a in args if hasattr(a, "shape")]
+            work.operations.append((str(func), str(shapes)))
+            return func(*args, **(kwargs or {}))
+
+    before = dr.flag(dr.JitFlag.KernelHistory)
+    dr.set_flag(dr.JitFlag.KernelHistory, True)
+    dr.kernel_history_clear()
+    try:
+        with Watch():
+            yield work
+        dr.sync_thread()
+        work.kernels += [
+            (str(entry.get("hash", "")), int(entry["size"]), int(entry.get("operation_count", 0)))
+            for entry in dr.kernel_history()
+        ]
+    finally:
+        dr.kernel_history_clear()
+        dr.set_flag(dr.JitFlag.KernelHistory, before)
