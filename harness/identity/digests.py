@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Callable, Hashable, Mapping
 from dataclasses import dataclass, field
 
 from harness.identity.reach import Key, Reached, reach
@@ -35,6 +35,7 @@ class Digests:
 
     def __init__(self, tree: Tree):
         self.tree = tree
+        self._parts: dict[Hashable, Part] = {}
         self._reached: dict[tuple[Part, frozenset[str]], Reached] = {}
         self._digests: dict[tuple[Part, frozenset[str], str], SourceDigest] = {}
 
@@ -63,22 +64,30 @@ class Digests:
                     result[other] = self._digest(part, outer, attribute, only)
         return result
 
+    def remembered(self, key: Hashable, make: Callable[[], Part]) -> Part:
+        """The part that ``key`` stands for, made when it is first asked for."""
+        if key not in self._parts:
+            self._parts[key] = make()
+        return self._parts[key]
+
     def reached(self, parts: Mapping[str, Part]) -> dict[str, tuple[frozenset[str], Reached]]:
         """Per part the attributes mentioned elsewhere that count for it, and what it reaches."""
         outer = {name: frozenset[str]() for name in parts}
         while True:
             found = {name: self._reach(part, outer[name]) for name, part in parts.items()}
-            mentions = set().union(*(r.mentions for r in found.values()))
-            prefixes = set().union(*(r.prefixes for r in found.values()))
-            more = {
-                name: frozenset(
-                    w for w in r.waiting if w in mentions or any(w.startswith(p) for p in prefixes)
-                )
-                for name, r in found.items()
-            }
-            if not any(more.values()):
+            grown = False
+            for name, one in found.items():
+                more = set[str]()
+                for other in found.values():
+                    if other is not one:
+                        more |= one.waiting.keys() & other.mentions
+                        for prefix in other.prefixes:
+                            more.update(w for w in one.waiting if w.startswith(prefix))
+                if more:
+                    outer[name] |= more
+                    grown = True
+            if not grown:
                 return {name: (outer[name], found[name]) for name in parts}
-            outer = {name: outer[name] | more[name] for name in parts}
 
     def _reach(self, part: Part, outer: frozenset[str]) -> Reached:
         key = (part, outer)

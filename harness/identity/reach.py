@@ -113,16 +113,8 @@ class _Search:
 
     def load(self, name: str) -> None:
         """Importing a module runs what it says outside functions, and its own imports."""
-        queue = [name]
-        while queue:
-            each = queue.pop()
-            if each in self.found.modules:
-                continue
-            module = self.tree.module(each)
-            if module is None:
-                continue
-            self.found.modules.add(each)
-            for unit in module.effects:
-                self.push((each, unit))
-            queue += self.tree.imported(module, module.data["imports"])
-            queue += [each.rpartition(".")[0]] if "." in each else []
+        if name not in self.found.modules:
+            modules, effects = self.tree.loaded(name)
+            self.found.modules |= modules
+            for key in effects:
+                self.push(key)

@@ -89,6 +89,8 @@ class Tree:
         self.cache = cache or Cache()
         self._modules: dict[str, Module | None] = {}
         self._units: dict[tuple[str, str], Unit] = {}
+        self._imports: dict[str, list[str]] = {}
+        self._loaded: dict[str, tuple[frozenset[str], tuple[tuple[str, str], ...]]] = {}
         self._external: dict[tuple[str, str], bool] = {}
 
     def add_folder(self, folder: Path) -> str:
@@ -156,6 +158,25 @@ class Tree:
                 parts = each.split(".")
                 found += [".".join(parts[: k + 1]) for k in range(len(parts))]
         return [name for name in dict.fromkeys(found) if self.module(name) is not None]
+
+    def loaded(self, name: str) -> tuple[frozenset[str], tuple[tuple[str, str], ...]]:
+        """Modules of ours that an import of ``name`` imports, and the units that this runs."""
+        if name not in self._loaded:
+            modules: dict[str, None] = {}
+            queue = [name]
+            while queue:
+                each = queue.pop()
+                module = self.module(each)
+                if each in modules or module is None:
+                    continue
+                modules[each] = None
+                if each not in self._imports:
+                    above = [each.rpartition(".")[0]] if "." in each else []
+                    self._imports[each] = above + self.imported(module, module.data["imports"])
+                queue += self._imports[each]
+            effects = [(m, unit) for m in modules for unit in self._modules[m].effects]
+            self._loaded[name] = frozenset(modules), tuple(effects)
+        return self._loaded[name]
 
     # --- references ----------------------------------------------------------------------------
 

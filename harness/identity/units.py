@@ -13,6 +13,7 @@ from typing import Any
 
 from harness.identity import scopes
 from harness.identity.normal_form import File, Piece, Writer
+from harness.identity.scopes import children
 
 FUNCTION, CLASS, VALUE, STATEMENT = "function", "class", "value", "statement"
 
@@ -204,11 +205,17 @@ def _hash(piece: Piece) -> str:
 def _spoken(tree: ast.Module) -> frozenset[str]:
     """Names that the file gives as keywords, or has as texts."""
     found: set[str] = set()
-    for node in ast.walk(tree):
-        if isinstance(node, ast.keyword) and node.arg:
-            found.add(node.arg)
-        elif isinstance(node, ast.Constant) and isinstance(node.value, str):
-            found.add(node.value)
+    stack: list[ast.AST] = [tree]
+    while stack:
+        node = stack.pop()
+        if type(node) is ast.keyword:
+            if node.arg:
+                found.add(node.arg)
+        elif type(node) is ast.Constant:
+            if type(node.value) is str:
+                found.add(node.value)
+            continue
+        stack += children(node)
     return frozenset(found)
 
 

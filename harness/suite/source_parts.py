@@ -6,6 +6,7 @@ the tables themselves are not followed: a new entry changes no trial.
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterable, Mapping
 from functools import lru_cache
 from pathlib import Path
@@ -69,9 +70,12 @@ def of_trial(
     """
     tree = known.tree
     parts = {
-        ADAPTER: method(tree, name),
-        MATERIAL: material(material_spec),
-        MEASURE: measure(tree, kind),
+        ADAPTER: known.remembered(("method", name), lambda: method(tree, name)),
+        MATERIAL: known.remembered(
+            ("material", json.dumps(material_spec, sort_keys=True, default=str)),
+            lambda: material(material_spec),
+        ),
+        MEASURE: known.remembered(("measure", kind), lambda: measure(tree, kind)),
     }
     if scene_part is not None:
         parts[SCENE] = scene_part
