@@ -17,6 +17,7 @@ os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 allocator.keep()
 
 if TYPE_CHECKING:
+    from harness.analysis.results import load_results
     from harness.core.protocol.disk import square_to_disk
     from harness.core.protocol.errors import BudgetExceeded, InputError, StateRefused, Unsupported
     from harness.core.protocol.material import Material
@@ -28,7 +29,6 @@ if TYPE_CHECKING:
         Method,
         WeightedSample,
     )
-    from harness.store.trials import load_results
 
 __version__ = "0.1.0"
 
@@ -54,7 +54,7 @@ _HOME = dict.fromkeys(__all__, f"{_PROTOCOL}.method") | {
         ("BudgetExceeded", "InputError", "StateRefused", "Unsupported"), f"{_PROTOCOL}.errors"
     ),
     "Material": f"{_PROTOCOL}.material",
-    "load_results": "harness.store.trials",
+    "load_results": "harness.analysis.results",
     "square_to_disk": f"{_PROTOCOL}.disk",
 }
 

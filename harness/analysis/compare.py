@@ -13,8 +13,9 @@ from pathlib import Path
 import pandas as pd
 
 from harness.analysis import numbers
+from harness.analysis.results import Results
 from harness.core.protocol.errors import InputError, nearest
-from harness.store.trials import LABELS, load_plan, load_results, load_trial
+from harness.store.stored import LABELS
 
 _KEY = [*(label for label in LABELS if label != "suite"), "metric"]
 
@@ -106,10 +107,10 @@ def _agreement(measure: str, metric: str, rows: pd.DataFrame) -> Agreement:
 
 def _with_intervals(folder: str | Path) -> pd.DataFrame:
     """Records with an interval of some width (a definition has none), and where each comes from."""
-    load_plan(folder)
-    frame = load_results(folder)
+    results = Results.load(folder)
+    frame = results.frame
     frame = frame[(frame["status"] == "ok") & (frame["ci_low"] < frame["ci_high"])].copy()
-    trials = {trial: load_trial(folder, trial) for trial in frame["trial"].unique()}
+    trials = {trial: results.stored(trial) for trial in frame["trial"].unique()}
     frame["started"] = [trials[trial].started for trial in frame["trial"]]
     frame["machine"] = [str(trials[trial].trial.get("machine") or "") for trial in frame["trial"]]
     return frame

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -13,7 +13,11 @@ import numpy as np
 import pandas as pd
 
 from harness.analysis.combine import Estimate, over_seeds
-from harness.store.trials import Stored, load_plan, load_results, load_trial
+from harness.analysis.renew import renewed
+from harness.analysis.validity import stale
+from harness.store.folder import ResultsFolder
+from harness.store.frame import frame
+from harness.store.stored import LABELS, NOT_RUN, Stored
 
 T = TypeVar("T")
 
@@ -38,17 +42,32 @@ class MethodColumn:
 class Results:
     """The records of one results folder, and its raw outputs when asked for.
 
-    ``frame`` has the columns of :func:`harness.store.trials.load_results`, in the suite's order;
-    ``plan`` is that of :func:`harness.store.trials.load_plan`.
+    ``frame`` has a row per record, in the suite's order (:func:`harness.store.frame.frame`);
+    ``plan`` is that of the last run, ``found`` the stored trials by key.
     """
 
     folder: Path
     frame: pd.DataFrame
     plan: dict[str, Any]
+    found: dict[str, Stored]
 
     @classmethod
-    def load(cls, folder: str | Path) -> Results:
-        return cls(Path(folder), load_results(folder), load_plan(folder))
+    def load(cls, folder: str | Path, all: bool = False) -> Results:
+        """What is stored, its records as today's analysis makes them, stale ones marked."""
+        with ResultsFolder(folder) as store:
+            plan, trials = store.plan(), store.trials()
+            trials |= {key: _damaged(trials[key], why) for key, why in store.damage().items()}
+            trials = {key: renewed(trial) for key, trial in trials.items()}
+            table = frame(plan["trials"], trials, stale(store, trials), all)
+        return cls(Path(folder), table, plan, trials)
+
+    def restricted(self, allowed: Mapping[str, Collection[str]]) -> Results:
+        """The part with these labels by column; a column that is not named is not restricted."""
+        keep = self.frame.index == self.frame.index
+        for column, values in allowed.items():
+            keep &= self.frame[column].isin(values)
+        rows = [t for t in self.plan["trials"] if all(t[k] in v for k, v in allowed.items())]
+        return Results(self.folder, self.frame[keep], {**self.plan, "trials": rows}, self.found)
 
     # --- what there is, in the suite's order -------------------------------------------------
 
@@ -149,9 +168,11 @@ class Results:
 
     def stored(self, trial: str) -> Stored:
         """A trial with its arrays and images."""
-        if trial not in self._opened:
-            self._opened[trial] = load_trial(self.folder, trial)
-        return self._opened[trial]
+        if trial in self.found:
+            return self.found[trial]
+        row = next(row for row in self.plan["trials"] if row["trial"] == trial)
+        labels = {key: row[key] for key in LABELS}
+        return Stored(trial, row["identity"], labels, "skipped", NOT_RUN)
 
     def arrays(self, trial: str) -> dict[str, np.ndarray]:
         """The raw arrays of a trial."""
@@ -181,10 +202,6 @@ class Results:
         return {}
 
     @cached_property
-    def _opened(self) -> dict[str, Stored]:
-        return {}
-
-    @cached_property
     def _index(self) -> dict[tuple[str, str | None, str | None], list[dict[str, Any]]]:
         """Rows by (measure, material, method), and by those with None for any."""
         index: dict[tuple[str, str | None, str | None], list[dict[str, Any]]] = {}
@@ -196,6 +213,24 @@ class Results:
 
     def _values(self, column: str) -> list[str]:
         return list(dict.fromkeys(self.frame[column]))
+
+
+def load_results(folder: str | Path, all: bool = False) -> pd.DataFrame:
+    """A row per record of a results folder, at least one per planned trial.
+
+    Columns: suite, material, method, scene, measure, metric, value, ci_low, ci_high (of a 95 %
+    interval, nan where there is none), unit, seed, status, reason, trial. ``status`` is ``ok``,
+    or ``skipped``, ``unsupported``, ``timeout``, ``error``, ``nonfinite``, ``stale`` with its
+    ``reason``. With ``all``, trials of earlier plans follow.
+
+    Raises:
+        InputError: no results there, or of another format.
+    """
+    return Results.load(folder, all).frame
+
+
+def _damaged(trial: Stored, why: str) -> Stored:
+    return replace(trial, status="error", reason=why, records=[])
 
 
 def _why(rows: list[dict[str, Any]], measure: str, metric: str) -> str:

@@ -33,7 +33,7 @@ def register(app: typer.Typer) -> None:
         from harness.core.protocol.errors import InputError, nearest
 
         if not results_dir.is_dir():
-            beside = [p.parent.name for p in results_dir.parent.glob("*/plan.json")]
+            beside = [p.parent.name for p in results_dir.parent.glob("*/results.sqlite")]
             raise InputError(f"no such folder: {results_dir}{nearest(results_dir.name, beside)}")
         for advice in reports.advise(results_dir, material, samples, scene, shipped):
             for line in advice.lines():

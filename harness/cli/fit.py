@@ -20,7 +20,7 @@ def register(app: typer.Typer) -> None:
             Path | None, typer.Option(help="Results folder; by default results/<suite>.")
         ] = None,
         out: Annotated[
-            Path | None, typer.Option(help="Where the fits go; by default harness/fitted.")
+            Path | None, typer.Option(help="Where the fits go; by default RESULTS/fitted.")
         ] = None,
         profile: Profile = None,
         only: Only = None,
@@ -38,7 +38,7 @@ def register(app: typer.Typer) -> None:
         from harness.runner.only import parse
         from harness.runner.run import Options
         from harness.runner.run import run as carry_out
-        from harness.store.trials import load_trial, stored
+        from harness.store.folder import ResultsFolder
         from harness.suite.load import load
         from harness.suite.trials import FIT
 
@@ -49,10 +49,12 @@ def register(app: typer.Typer) -> None:
         chosen = f"{only},measure={FIT}" if only else f"measure={FIT}"
         status = carry_out(plan, folder, Options(chosen, "local", again, refit=True), console)
         # An interrupted run, too, leaves fits that are finished.
-        wanted, there = parse(chosen, plan), set(stored(folder))
+        wanted, fits_folder = parse(chosen, plan), out or folder / "fitted"
+        with ResultsFolder(folder) as store:
+            there = store.trials()
         fits = [t for t in plan.trials if t in wanted and t.hash in there]
-        written = [shipped.save(t, load_trial(folder, t.hash), out or shipped.FOLDER) for t in fits]
+        written = [shipped.save(t, there[t.hash], fits_folder) for t in fits]
         size = sum(path.stat().st_size for path in written if path)
         count = sum(path is not None for path in written)
-        console.print(f"{count} fitted samplers in {out or 'harness/fitted'}, {size / 1e6:.1f} MB")
+        console.print(f"{count} fitted samplers in {fits_folder}, {size / 1e6:.1f} MB")
         raise typer.Exit(status)

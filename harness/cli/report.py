@@ -22,7 +22,7 @@ def register(app: typer.Typer) -> None:
         from harness.report import write as reports
 
         if not results_dir.is_dir():
-            beside = [p.parent.name for p in results_dir.parent.glob("*/plan.json")]
+            beside = [p.parent.name for p in results_dir.parent.glob("*/results.sqlite")]
             raise InputError(f"no such folder: {results_dir}{nearest(results_dir.name, beside)}")
         console = Console(highlight=False)
         loaded = reports.load(results_dir)

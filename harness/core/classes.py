@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 
+from harness.core.protocol.errors import InputError
+
 
 @dataclass(frozen=True)
 class Declared:
@@ -51,6 +53,19 @@ def named(folder: Path) -> dict[str, Declared]:
         if not file.name.startswith("_"):
             found |= {item.name: item for item in declared(file) if item.name}
     return found
+
+
+def read_python(path: Path) -> str:
+    """Text of a Python file; an :class:`InputError` if it cannot be read or parsed."""
+    try:
+        text = path.read_text(encoding="utf-8")
+        ast.parse(text)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror}") from None
+    except (SyntaxError, ValueError) as error:
+        line = f", line {error.lineno}" if isinstance(error, SyntaxError) else ""
+        raise InputError(f"{path}{line}: not valid Python: {error}") from None
+    return text
 
 
 def _literal(node: ast.ClassDef) -> str:

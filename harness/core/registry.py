@@ -9,6 +9,7 @@ A method is named by
 
 from __future__ import annotations
 
+import hashlib
 import importlib
 import importlib.util
 import inspect
@@ -19,11 +20,10 @@ from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from typing import Any
 
-from harness.core.classes import declared, named
+from harness.core.classes import declared, named, read_python
 from harness.core.paths import ROOT
 from harness.core.protocol.errors import InputError, nearest
 from harness.core.protocol.method import Method
-from harness.identity.source import covered, digest
 
 METHODS = ROOT / "methods"
 GROUP = "harness.methods"
@@ -58,7 +58,7 @@ def find(name: str) -> Found:
         return Found(name, item.class_name, item.file, "methods", item.summary)
     broken = METHODS / f"{name.replace('-', '_')}.py"
     if broken.is_file() and not broken.name.startswith("_"):
-        covered(broken, "methods")  # says what is wrong if it is not valid Python
+        read_python(broken)  # says what is wrong if it is not valid Python
         raise InputError(f"{broken}: expected a class with name = '{name}'")
     points = _entry_points()
     if name in points:
@@ -69,12 +69,6 @@ def find(name: str) -> Found:
 def describe(name: str) -> str:
     """One line about the method, from its docstring."""
     return find(name).summary
-
-
-def source(name: str) -> str:
-    """The source text that stands for the method in a trial's hash (harness.identity.source)."""
-    found = find(name)
-    return f"{found.class_name}\n{covered(found.file, found.package)}"
 
 
 def load(name: str) -> type[Method]:
@@ -141,7 +135,7 @@ def _find_in_file(path: str, class_name: str) -> Found:
     if not file.is_file():
         raise InputError(f"no such file: {path} (expected path/to/file.py:ClassName)")
     file = file.resolve()
-    covered(file)  # says what is wrong if it is not valid Python
+    read_python(file)  # says what is wrong if it is not valid Python
     classes = declared(file)
     for item in classes:
         if item.class_name == class_name:
@@ -175,7 +169,7 @@ def _import(found: Found) -> Any:
         name = found.file.stem if found.file.name != "__init__.py" else ""
         return importlib.import_module(".".join(filter(None, [found.package, name])))
     # A lone file: its module name holds its path, so that two files of one name can meet.
-    name = f"harness_adapter_{digest(str(found.file))}_{found.file.stem}"
+    name = f"harness_adapter_{_mark(found.file)}_{found.file.stem}"
     stamp = found.file.stat().st_mtime_ns
     if name in sys.modules and getattr(sys.modules[name], "__stamp__", None) == stamp:
         return sys.modules[name]
@@ -192,3 +186,8 @@ def _import(found: Found) -> Any:
         del sys.modules[name]
         raise
     return module
+
+
+def _mark(file: Path) -> str:
+    """What tells two files of one name apart in the name of a module."""
+    return hashlib.sha256(str(file).encode()).hexdigest()[:16]

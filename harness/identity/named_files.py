@@ -119,3 +119,16 @@ def _bytes_digest(path: Path, stamp: int, size: int) -> str:
     """SHA-256 of a file's bytes; remembered until time stamp or size change."""
     with open(path, "rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()[:LENGTH]
+
+
+def replaced(value: Any, base: Path) -> Any:
+    """A copy of JSON data in which the content of files stands for their names.
+
+    See :func:`named_in` for what counts as the name of a file or folder.
+    """
+    if isinstance(value, Mapping):
+        return {key: replaced(item, base) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [replaced(item, base) for item in value]
+    files = list(named_in(value, base))
+    return {"content": digest_of(files).digest} if files else value

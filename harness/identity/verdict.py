@@ -12,8 +12,10 @@ ADAPTER, TRAINING, FIT = "adapter", "training", "fit"
 MATERIAL, SCENE, MEASURE = "material", "scene", "measure"
 MATERIAL_FILES, SCENE_FILES, METHOD_FILES = "material files", "scene files", "method files"
 VERSIONS = "versions"
+BASELINE, BASELINE_STATE = "baseline", "baseline state"
+"""Of a timed trial, whose numbers are in comparison with the baseline."""
 
-SOURCES = (ADAPTER, TRAINING, MATERIAL, SCENE, MEASURE)
+SOURCES = (ADAPTER, TRAINING, MATERIAL, SCENE, MEASURE, BASELINE)
 """Parts that are source text: where only that changed, a probe can tell whether numbers did."""
 
 WORDS = {
@@ -27,6 +29,8 @@ WORDS = {
     METHOD_FILES: "a file that the method's parameters name",
     VERSIONS: "a library's version",
     FIT: "the fitted state",
+    BASELINE: "the baseline",
+    BASELINE_STATE: "the baseline's fitted state",
 }
 _SHOWN = 3
 

@@ -13,7 +13,6 @@ from typing import Any
 
 from harness.core.protocol.errors import InputError, nearest
 from harness.core.protocol.material import Material
-from harness.identity.source import covered, digest
 from harness.materials import measured, xml_bsdf
 from harness.materials.families import registry as families
 from harness.materials.hard import registry as hard
@@ -146,8 +145,7 @@ class Hard(Kind):
 
     def identity(self, spec: Mapping[str, Any], base: Path) -> dict[str, Any]:
         name = spec["name"]
-        source = digest(covered(hard.MATERIALS[name].file, "harness.materials.hard"))
-        return {"type": "hard", "name": name, "source": source}
+        return {"type": "hard", "name": name}
 
     def make(self, spec: Mapping[str, Any], base: Path, what: dict[str, Any]) -> Material:
         return hard.MATERIALS[spec["name"]].make(spec["name"], what)
@@ -177,10 +175,9 @@ class Family(Kind):
 
     def identity(self, spec: Mapping[str, Any], base: Path) -> dict[str, Any]:
         family = spec["family"]
-        source = digest(covered(families.FAMILIES[family].file, families.PACKAGE))
         fix = {key: float(value) for key, value in spec.get("fix", {}).items()}
         walks = {"walks": spec["walks"]} if "walks" in spec else {}
-        return {"type": "family", "family": family, "fix": fix, **walks, "source": source}
+        return {"type": "family", "family": family, "fix": fix, **walks}
 
     def make(self, spec: Mapping[str, Any], base: Path, what: dict[str, Any]) -> Material:
         options = {"walks": spec["walks"]} if "walks" in spec else {}

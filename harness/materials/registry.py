@@ -25,7 +25,6 @@ from typing import Any
 
 from harness.core.protocol.errors import InputError, nearest
 from harness.core.protocol.material import Material
-from harness.identity.source import covered, digest
 from harness.materials.families import registry as families
 from harness.materials.hard import registry as hard
 from harness.materials.kinds import KINDS, Kind, where_of
@@ -101,7 +100,7 @@ def identity(spec: Spec, base_dir: Path | str | None = None) -> dict[str, Any]:
     spec = _in_full(spec)
     name = _bare_name(spec)
     if name is not None:
-        return {"type": "named", "name": name, "source": digest(covered(_file(name), PACKAGE))}
+        return {"type": "named", "name": name}
     return _kind(spec).identity(spec, _base(base_dir))
 
 

@@ -11,7 +11,6 @@ from pydantic import ValidationError
 
 from harness.core.classes import named
 from harness.core.protocol.errors import InputError, nearest
-from harness.identity.source import covered
 from harness.measures.base import Measure
 
 MEASURES = Path(__file__).parent
@@ -50,14 +49,6 @@ def load(name: str) -> type[Measure]:
 def make(name: str) -> Measure:
     """A new measure."""
     return load(name)()
-
-
-def source(name: str) -> str:
-    """The source text that stands for the measure in a trial's hash."""
-    if name in _EXTRA:
-        return f"{_EXTRA[name].__module__}.{_EXTRA[name].__qualname__}"
-    load(name)
-    return covered(named(MEASURES)[name].file, "harness.measures")
 
 
 def settings(name: str, given: dict[str, Any]) -> dict[str, Any]:

@@ -3,38 +3,39 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import torch
 
 from harness.core import registry
-from harness.core.protocol.material import Material
 from harness.core.protocol.method import Method
 from harness.effects.registry import is_auto
 from harness.measures.base import Job
 from harness.measures.fit import restore
-from harness.store import trials as store
-from harness.store.trials import Stored
+from harness.store.stored import Stored
+from harness.suite.resolve import Resolved
 from harness.suite.trials import FIT, Trial, stream_seed
 
 
 class Jobs:
     """Makes jobs, and keeps what they share: measures may remember something by the object.
 
-    ``stored`` are the trials in ``results`` by hash, the fits among them; a caller that adds to it
-    may ask for jobs that need what was added.
+    ``stored`` are the stored trials by hash, the fits among them; a caller that adds to it may ask
+    for jobs that need what was added.
     """
 
     def __init__(
-        self, baseline: str, results: Path, stored: dict[str, Stored], note: Callable[[str], None]
+        self,
+        baseline: str,
+        stored: dict[str, Stored],
+        note: Callable[[str], None],
+        resolved: Resolved | None = None,
     ):
-        self.baseline, self.results, self.stored, self.note = baseline, results, stored, note
+        self.baseline, self.stored, self.note = baseline, stored, note
+        self.resolved = resolved or Resolved()
         self.choices: dict[str, dict[str, Any]] = {}
         """By trial: what ``effects: auto`` came to, and why."""
-        self._materials: dict[str, Material] = {}
-        self._scenes: dict[str, Any] = {}
-        self._resolved: dict[str, tuple[Any, Any]] = {}
+        self._without_auto_of: dict[str, tuple[Any, Any]] = {}
         self._fitted: dict[str, Method] = {}
 
     def make(self, trial: Trial) -> Job:
@@ -46,14 +47,13 @@ class Jobs:
         fresh = trial.measure == FIT
         return Job(
             trial=trial,
-            material=self._material(trial),
+            material=self.resolved.material(trial),
             method=make() if fresh else self._restored(trial, make),
             scene=self._scene(trial),
             seed=trial.seed,
             generator=torch.Generator().manual_seed(stream_seed(trial.measure, trial.seed)),
             settings=dict(trial.settings),
             budget=trial.budget,
-            out_dir=store.scratch(self.results, trial.hash),
             make=make,
             baseline=trial.method == self.baseline,
             fit_records={}
@@ -65,36 +65,23 @@ class Jobs:
         """Free the fitted methods: those of one material are of no use for the next."""
         self._fitted.clear()
 
-    def _material(self, trial: Trial) -> Material:
-        if trial.material not in self._materials:
-            from harness.materials import registry as materials
-
-            self._materials[trial.material] = materials.make(trial.material_spec)
-        return self._materials[trial.material]
-
     def _scene(self, trial: Trial) -> Any | None:
-        if not trial.scene:
-            return None
-        if trial.scene not in self._scenes:
-            from harness.scenes import registry as scenes
-
-            self._scenes[trial.scene] = scenes.make(trial.scene_spec)
-        scene = self._scenes[trial.scene]
-        return self._without_auto(trial, scene) if is_auto(scene.effects) else scene
+        scene = self.resolved.scene(trial)
+        return self._without_auto(trial, scene) if scene and is_auto(scene.effects) else scene
 
     def _without_auto(self, trial: Trial, scene: Any) -> Any:
         """The scene with what ``auto`` stands for here; why is stored with every trial."""
         key = f"{trial.scene}\0{trial.material}"
-        if key not in self._resolved:
+        if key not in self._without_auto_of:
             from harness.measures.auto import resolve
 
-            self._resolved[key] = resolve(scene, self._material(trial), self.note)
-        found, choice = self._resolved[key]
+            self._without_auto_of[key] = resolve(scene, self.resolved.material(trial), self.note)
+        found, choice = self._without_auto_of[key]
         self.choices[trial.hash] = choice.as_json()
         return found
 
     def _restored(self, trial: Trial, make: Callable[[], Method]) -> Method:
         if trial.fit not in self._fitted:
             state = self.stored[trial.fit].tensors(trial.budget.device)
-            self._fitted[trial.fit] = restore(make(), self._material(trial), state)
+            self._fitted[trial.fit] = restore(make(), self.resolved.material(trial), state)
         return self._fitted[trial.fit]

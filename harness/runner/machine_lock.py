@@ -1,4 +1,4 @@
-"""Whose turn it is: one timing at a time per machine and user, and nothing of ours beside it."""
+"""One timing at a time per machine and user, and nothing of ours beside it."""
 
 from __future__ import annotations
 
@@ -8,28 +8,41 @@ import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import IO
+
+from harness.core.protocol.errors import InputError
 
 
 @contextmanager
-def turn(note: Callable[[str], None], alone: bool = True) -> Iterator[None]:
-    """Work inside when it is one's turn, whatever the results folder; a killed run leaves no lock.
+def machine(note: Callable[[str], None], alone: bool = True) -> Iterator[None]:
+    """Work inside while this process holds the machine; a killed run leaves no lock.
 
-    Work that is timed is ``alone``; other work goes on together with its like. Who waits keeps
-    the door, so that untimed work which keeps coming cannot keep a timing out for ever.
+    Work that is timed holds it ``alone``; other work shares it with its like. Who waits holds the
+    queue, so that untimed work which keeps coming cannot keep a timing out for ever.
     """
-    with _opened("door") as door, _opened("timing") as room:
-        _lock(door, fcntl.LOCK_EX, note)
-        _lock(room, fcntl.LOCK_EX if alone else fcntl.LOCK_SH, note)
-        fcntl.flock(door, fcntl.LOCK_UN)
+    with _opened("queue") as queue, _opened("machine") as held:
+        _lock(queue, fcntl.LOCK_EX, note)
+        _lock(held, fcntl.LOCK_EX if alone else fcntl.LOCK_SH, note)
+        fcntl.flock(queue, fcntl.LOCK_UN)
         yield
 
 
-def _opened(name: str) -> IO[str]:
-    return (Path(tempfile.gettempdir()) / f"harness-{name}-{os.getuid()}.lock").open("w")
+@contextmanager
+def _opened(name: str) -> Iterator[int]:
+    path = Path(tempfile.gettempdir()) / f"harness-{name}-{os.getuid()}.lock"
+    try:
+        # No link is followed and nothing is truncated: the folder is everybody's.
+        file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o600)
+    except OSError as error:
+        raise InputError(
+            f"{path}: the lock of timings cannot be opened: {error.strerror}"
+        ) from None
+    try:
+        yield file
+    finally:
+        os.close(file)
 
 
-def _lock(file: IO[str], mode: int, note: Callable[[str], None]) -> None:
+def _lock(file: int, mode: int, note: Callable[[str], None]) -> None:
     try:
         fcntl.flock(file, mode | fcntl.LOCK_NB)
     except BlockingIOError:

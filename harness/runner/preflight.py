@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 from harness.core import registry
@@ -42,32 +41,30 @@ def check_report(plan: Plan) -> None:
 def check_trials(plan: Plan, trials: list[Trial]) -> None:
     """Adapters of ``trials`` import and take their parameters; files they need are readable.
 
-    Materials and scenes by name come with the harness and are made when their turn comes;
-    those that a suite describes are made here.
+    Materials by name come with the harness and are made when their turn comes; those that a suite
+    describes are made here.
     """
-    from harness.materials import registry as materials
-    from harness.scenes import registry as scenes
-
-    seen: list[tuple] = []
+    seen: set[tuple[str, str]] = set()
     check_effects(plan, trials)
     for trial in trials:
-        for kind, label, spec in (
-            ("methods", trial.method, (trial.method_name, trial.params)),
-            ("materials", trial.material, trial.material_spec),
-            ("scenes", trial.scene, trial.scene_spec),
+        for kind, label, make in (
+            ("methods", trial.method, lambda t=trial: registry.make(t.method_name, **t.params)),
+            ("materials", trial.material, lambda t=trial: _described(plan, t)),
         ):
             if (kind, label) in seen:
                 continue
-            seen.append((kind, label))
+            seen.add((kind, label))
             try:
-                if kind == "methods":
-                    registry.make(trial.method_name, **trial.params)
-                elif isinstance(spec, dict):
-                    (materials if kind == "materials" else scenes).make(spec)
+                make()
             except Exception as error:
                 text = str(error) if isinstance(error, InputError) else registry.oneline(error)
                 text = text.strip().partition("\n")[0]
                 raise InputError(f"{plan.where}: {kind}: '{label}': {text}") from error
+
+
+def _described(plan: Plan, trial: Trial) -> None:
+    if isinstance(trial.material_spec, dict):
+        plan.resolved.material(trial)
 
 
 def check_effects(plan: Plan, trials: list[Trial]) -> None:
@@ -77,31 +74,12 @@ def check_effects(plan: Plan, trials: list[Trial]) -> None:
     """
     from harness.effects.offer import require_of
     from harness.effects.registry import is_auto, parse
-    from harness.materials import registry as materials
-    from harness.scenes import registry as scenes
 
-    made: dict[str, Any] = {}
-    pairs = {(t.scene, t.material): t for t in trials if t.scene}
-    for trial in pairs.values():
-        scene = made.setdefault(f"scene {trial.scene}", None) or scenes.make(trial.scene_spec)
-        made[f"scene {trial.scene}"] = scene
-        if is_auto(scene.effects):
+    for trial in {(t.scene, t.material): t for t in trials if t.scene}.values():
+        scene: Any = plan.resolved.scene(trial)
+        if is_auto(scene.effects) or not any(effect.own for effect in parse(scene.effects)):
             continue
-        if not any(effect.own for effect in parse(scene.effects)):
-            continue
-        if trial.material not in made:
-            made[trial.material] = materials.make(trial.material_spec)
         try:
-            require_of(scene, made[trial.material])
+            require_of(scene, plan.resolved.material(trial))
         except InputError as error:
             raise InputError(f"{plan.where}: scenes: {error}") from None
-
-
-def check_output(results: Path) -> None:
-    """The results folder is one, or can become one."""
-    if results.exists() and not results.is_dir():
-        raise InputError(f"{results}: is a file; expected a folder for the results")
-    try:
-        results.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"{results}: cannot be made: {error.strerror}") from None

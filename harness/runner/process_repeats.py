@@ -13,7 +13,6 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from multiprocessing import get_context
 from multiprocessing.connection import Connection
-from pathlib import Path
 
 import torch
 
@@ -24,7 +23,7 @@ from harness.measures import registry as measures
 from harness.measures.base import Measure, Outcome
 from harness.runner.jobs import Jobs
 from harness.runner.preflight import ready
-from harness.store.trials import Stored
+from harness.store.stored import Stored
 from harness.suite.trials import Trial, stream_seed
 
 _KNOWN = {kind.__name__: kind for kind in (Unsupported, BudgetExceeded, FloatingPointError)}
@@ -49,7 +48,6 @@ class _Asked:
 
     trials: list[Trial]
     baseline: str
-    results: Path
     stored: dict[str, Stored]
     number: int
 
@@ -73,7 +71,7 @@ def run(
         number, total = len(found), least if len(found) < least else most
         found.append(
             _sitting(
-                _Asked(asked, jobs.baseline, jobs.results, needed, number),
+                _Asked(asked, jobs.baseline, needed, number),
                 lambda text, n=number + 1, of=total: note(f"sitting {n} of {of}: {text}"),
             )
         )
@@ -123,7 +121,7 @@ def _sit(parent: Connection, asked: _Asked) -> None:
         ready(first.budget.device)
         apart = _APART * asked.number
         torch.manual_seed(stream_seed(first.measure, first.seed + apart))
-        make = Jobs(asked.baseline, asked.results, asked.stored, note).make
+        make = Jobs(asked.baseline, asked.stored, note).make
         jobs = [make(replace(trial, seed=trial.seed + apart)) for trial in asked.trials]
         parent.send(("done", measures.make(first.measure).run(jobs, note)))
     except BaseException as error:

@@ -10,7 +10,7 @@ from rich.progress import Progress as Bar
 from rich.text import Text
 
 from harness.measures.base import FAILED, Outcome
-from harness.store.trials import Stored
+from harness.store.stored import Stored
 from harness.suite.trials import FIT, Trial
 
 QUIET_SECONDS = 15.0

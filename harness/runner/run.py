@@ -10,14 +10,21 @@ from pathlib import Path
 from rich.console import Console
 from rich.text import Text
 
+from harness.analysis.renew import renew
 from harness.measures.base import FAILED
 from harness.runner import executor as executors
 from harness.runner import only as only_option
 from harness.runner import preflight
+from harness.runner.only import Only
 from harness.runner.progress import Pace, Progress
 from harness.runner.todo import Todo, make_todo
+from harness.runner.validity import Validity
 from harness.runner.worker import Worker
-from harness.store import trials as store
+from harness.store.database import is_ours
+from harness.store.folder import ResultsFolder
+from harness.store.lock import locked
+from harness.store.mend import mend
+from harness.store.stored import DAMAGED, Stored
 from harness.suite.plan import Plan
 from harness.suite.trials import FIT, Trial
 
@@ -42,26 +49,29 @@ def run(plan: Plan, results: Path, options: Options, console: Console) -> int:
     only = only_option.parse(options.only, plan)
     preflight.check_report(plan)
     if options.dry_run:
-        todo = make_todo(plan, results, only, options.retry_failed, options.refit)
-        _list(plan, todo, console)
+        stored = _stored(plan, results) if is_ours(results) else {}
+        _list(plan, _todo(plan, stored, only, options), console)
         return 0
-    preflight.check_output(results)
-    with store.locked(results):
-        store.clean(results)
-        todo = make_todo(plan, results, only, options.retry_failed, options.refit)
-        preflight.check_trials(plan, todo.trials)
-        _write_plan(plan, results)
-        _say(console, f"{results}: {_counted(todo)}")
-        interrupted = False
-        with Progress(console, todo.trials, todo.stored) as progress:
-            worker = Worker(plan, results, todo.stored, progress, options.refit)
-            try:
-                execute.run(todo.units, worker.unit)
-            except KeyboardInterrupt:
-                interrupted = True
-            finally:
-                # What an interrupted trial has written so far is of no use.
-                store.clean(results)
+    with locked(results):
+        mend(results, lambda text: _say(console, text, "yellow"))
+        with ResultsFolder(results, write=True) as store:
+            renew(store)
+            todo = _todo(plan, _stored(plan, results), only, options)
+            preflight.check_trials(plan, todo.trials)
+            _write_plan(plan, store)
+            _say(console, f"{results}: {_counted(todo)}")
+            _explain(todo, console)
+            interrupted = False
+            with Progress(console, todo.trials, todo.stored) as progress:
+                validity = Validity(plan, todo.stored)
+                worker = Worker(
+                    plan, store, todo.stored, validity, progress, options.refit, todo.doubtful
+                )
+                try:
+                    execute.run(todo.units, worker.unit)
+                except KeyboardInterrupt:
+                    interrupted = True
+            store.tidy()
         if interrupted:
             _say(
                 console,
@@ -73,12 +83,24 @@ def run(plan: Plan, results: Path, options: Options, console: Console) -> int:
     return _sum_up(todo, console)
 
 
-def _write_plan(plan: Plan, results: Path) -> None:
+def _todo(plan: Plan, stored: dict[str, Stored], only: Only, options: Options) -> Todo:
+    validity = Validity(plan, stored)
+    return make_todo(plan, stored, validity, only, options.retry_failed, options.refit)
+
+
+def _stored(plan: Plan, results: Path) -> dict[str, Stored]:
+    """The planned trials that are stored whole, by key."""
+    with ResultsFolder(results) as store:
+        found = store.trials({trial.hash for trial in plan.trials})
+    return {key: trial for key, trial in found.items() if trial.status != DAMAGED}
+
+
+def _write_plan(plan: Plan, store: ResultsFolder) -> None:
     """The suite as run, and the trials it stands for."""
     command = ["--profile", plan.profile] if plan.profile else []
     command += ["--device", plan.device]
     text = f"# As run, with {shlex.join(command)}\n{plan.text}"
-    (results / "suite.yaml").write_text(text, encoding="utf-8")
+    (store.folder / "suite.yaml").write_text(text, encoding="utf-8")
     head = {
         "suite": plan.suite,
         "title": plan.title,
@@ -91,7 +113,15 @@ def _write_plan(plan: Plan, results: Path) -> None:
     rows = [
         {"trial": t.hash, **t.labels, "fit": t.fit, "identity": t.identity} for t in plan.trials
     ]
-    store.write_plan(results, head, rows)
+    store.write_plan(head, rows)
+
+
+def _explain(todo: Todo, console: Console) -> None:
+    """Why stored numbers are measured again."""
+    wanted = {trial.hash for trial in todo.trials}
+    counts = Counter(v.sentence for h, v in todo.stale.items() if h in wanted)
+    for sentence, count in counts.most_common():
+        _say(console, f"  {_trials(count)} {sentence}", "yellow")
 
 
 def _counted(todo: Todo) -> str:
@@ -130,7 +160,7 @@ def _sum_up(todo: Todo, console: Console) -> int:
     if failed:
         _say(
             console,
-            "The traceback of a failed trial is in its trial.json; "
+            "harness status shows the traceback of a failed trial; "
             "--retry failed runs the failed ones again.",
         )
     return 1 if failed else 0

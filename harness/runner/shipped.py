@@ -9,41 +9,37 @@ day it was taken at, and says so under ``shipped``.
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from harness.core import registry
 from harness.core.paths import ROOT
 from harness.core.protocol.errors import InputError
-from harness.identity.source import digest, essence, read
+from harness.identity.verdict import ADAPTER, MATERIAL, MEASURE, TRAINING, VERSIONS
 from harness.measures.base import Outcome, Record
-from harness.store.trials import Stored
+from harness.store.stored import Stored
 from harness.suite.trials import FIT, Trial, hash_of
 
 FOLDER = ROOT / "harness" / "fitted"
-FORMAT = "fitted-sampler 1"
+FORMAT = "fitted-sampler 2"
+KEPT_PARTS = (ADAPTER, TRAINING, MATERIAL, MEASURE, VERSIONS)
+"""Digests that are kept with a state: what it was fitted with."""
 _STATE, _ARRAY = "state.", "array."
 
 
 def described(trial: Trial) -> dict[str, Any]:
     """What makes a fit the same fit, wherever and whenever it is run.
 
-    Material, method, parameters, budget and seed; of the source the adapter's own file. Not the
-    device, machine or versions, which the record names, nor the files that an adapter shares
-    with others: a state is data, and what they make of it is measured anew.
+    Material, method, parameters, budget and seed. Not the device, machine or versions, which the
+    record names, nor the code: the digests of what it was fitted with are kept beside the state,
+    and a run whose training is another fits anew.
     """
     method = trial.identity["method"]
     budget = {key: value for key, value in method["budget"].items() if key != "device"}
-    own = registry.find(trial.method_name).file
     return {
         "material": trial.identity["material"],
-        "method": {
-            "name": method["name"],
-            "params": method["params"],
-            "file": digest(essence(read(own))),
-            "budget": budget,
-        },
+        "method": {"name": method["name"], "params": method["params"], "budget": budget},
         "seed": trial.seed,
     }
 
@@ -81,6 +77,11 @@ def load(path: Path) -> tuple[Outcome, dict[str, Any]]:
     return Outcome(records=records, arrays=arrays, tensors=state), about
 
 
+def still(kept: Mapping[str, str], current: Mapping[str, str]) -> bool:
+    """Whether the code that a shipped fit was trained by is today's."""
+    return kept.get(TRAINING) == current.get(TRAINING)
+
+
 def save(trial: Trial, stored: Stored, folder: Path = FOLDER) -> Path | None:
     """Keep a fit that was run; None for one with nothing to keep (no state, or not ``ok``).
 
@@ -103,7 +104,7 @@ def save(trial: Trial, stored: Stored, folder: Path = FOLDER) -> Path | None:
         "environment": stored.environment,
         "started": stored.started,
         "seconds": stored.seconds,
-        "source": stored.trial["method"]["source"],
+        "parts": {part: stored.parts[part] for part in KEPT_PARTS if part in stored.parts},
     }
     metadata = {
         "format": FORMAT,

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from pathlib import Path
 
+from harness.identity.verdict import Verdict
 from harness.measures.base import FAILED
 from harness.runner.only import Only
-from harness.store import trials as store
-from harness.store.trials import Stored
+from harness.runner.validity import Validity
+from harness.store.stored import Stored
 from harness.suite.plan import Plan
 from harness.suite.trials import FIT, Trial
 
@@ -42,11 +42,18 @@ class Unit:
 
 @dataclass
 class Todo:
-    """``units`` to carry out; ``selected`` trials the run is about, done or not."""
+    """``units`` to carry out; ``selected`` trials the run is about, done or not.
+
+    ``stored`` are the planned trials that are there, ``stale`` why some of them do not hold any
+    more. ``doubtful`` ones are to be measured only if their fit, which is made again, comes out
+    different.
+    """
 
     units: list[Unit]
     selected: list[Trial]
     stored: dict[str, Stored]
+    stale: dict[str, Verdict] = field(default_factory=dict)
+    doubtful: frozenset[str] = frozenset()
 
     @property
     def trials(self) -> list[Trial]:
@@ -55,20 +62,27 @@ class Todo:
 
 
 def make_todo(
-    plan: Plan, results: Path, only: Only, retry_failed: bool = False, refit: bool = False
+    plan: Plan,
+    stored: dict[str, Stored],
+    validity: Validity,
+    only: Only,
+    retry_failed: bool = False,
+    refit: bool = False,
 ) -> Todo:
-    """Compare ``plan`` with what ``results`` holds.
+    """Compare ``plan`` with what is ``stored``, by key.
 
-    A trial is done if it is stored as ok or unsupported, or as failed unless those are to
-    be tried again. One that was skipped is done as soon as it can be. With ``refit``, fits that
-    came with the harness, and what was measured with them, are to be done.
+    A trial is done if it is stored as ok or unsupported and its numbers still hold, or as failed
+    unless those are to be tried again. One that was skipped is done as soon as it can be. With
+    ``refit``, fits that came with the harness, and what was measured with them, are to be done.
     """
-    present = {h: store.load_trial(results, h) for h in _planned_and_stored(plan, results)}
+    by_hash = {trial.hash: trial for trial in plan.trials}
+    verdicts = {h: validity.verdict(by_hash[h]) for h in stored if h in by_hash}
+    stale = {h: v for h, v in verdicts.items() if not v.stands}
+    present = {h: found for h, found in stored.items() if h not in stale}
     if refit:
         came = {h for h, found in present.items() if found.shipped}
         came |= {t.hash for t in plan.trials if came & set(needed_fits(plan, t))}
         present = {h: found for h, found in present.items() if h not in came}
-    by_hash = {trial.hash: trial for trial in plan.trials}
     selected = [trial for trial in plan.trials if trial in only]
     open_: dict[str, Trial] = {}
     for trial in selected:
@@ -79,15 +93,18 @@ def make_todo(
         hopeless = any(n is not None and n.status != "ok" and _done(n, retry_failed) for n in needs)
         if found is None or not hopeless:
             open_[trial.hash] = trial
-    groups = _groups(plan, [t for t in open_.values() if t.measure != FIT])
     # What is to be measured has to be fitted, also if --only did not name the fit.
-    for group in groups:
-        for trial in [*group.trials, *([group.extra] if group.extra else [])]:
-            fit = present.get(trial.fit)
-            usable = fit is not None and (fit.status != "ok" or fit.has_state)
-            if not (usable and _done(fit, retry_failed)):
-                open_[trial.fit] = by_hash[trial.fit]
+    for trial in [t for t in open_.values() if t.measure != FIT]:
+        for fit in needed_fits(plan, trial):
+            state = present.get(fit)
+            usable = state is not None and (state.status != "ok" or state.has_state)
+            if not (usable and _done(state, retry_failed)):
+                open_[fit] = by_hash[fit]
     fits = [t for t in _unique(plan.trials) if t.measure == FIT and t.hash in open_]
+    again = {fit.hash for fit in fits if fit.hash in stored}
+    doubtful = [t for t in selected if t.hash not in open_ and again & set(needed_fits(plan, t))]
+    open_ |= {trial.hash: trial for trial in doubtful}
+    groups = _groups(plan, [t for t in open_.values() if t.measure != FIT])
     units: dict[str, Unit] = {}
     for material in plan.labels("material"):
         unit = Unit(material)
@@ -95,7 +112,8 @@ def make_todo(
         unit.groups = [g for g in groups if g.trials[0].material == material]
         if unit.fits or unit.groups:
             units[material] = unit
-    return Todo(list(units.values()), selected, present)
+    names = frozenset(trial.hash for trial in doubtful)
+    return Todo(list(units.values()), selected, present, stale, names)
 
 
 def needed_fits(plan: Plan, trial: Trial) -> list[str]:
@@ -103,11 +121,6 @@ def needed_fits(plan: Plan, trial: Trial) -> list[str]:
     if trial.measure == FIT:
         return []
     return [trial.fit, plan.baseline_of(trial).fit] if trial.timed else [trial.fit]
-
-
-def _planned_and_stored(plan: Plan, results: Path) -> list[str]:
-    there = set(store.stored(results))
-    return [trial.hash for trial in _unique(plan.trials) if trial.hash in there]
 
 
 def _done(stored: Stored | None, retry_failed: bool) -> bool:

@@ -7,26 +7,30 @@ import math
 import time
 import traceback
 from collections.abc import Callable
+from dataclasses import replace
 from datetime import UTC, datetime
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
 
+from harness.analysis.records import registry as analysis
 from harness.core import machine, registry
 from harness.core.protocol.errors import BudgetExceeded, InputError, Unsupported
+from harness.core.record import Raw
 from harness.measures import registry as measures
 from harness.measures.adapter_smoke_test import BadAdapter
 from harness.measures.base import Job, Outcome
 from harness.runner import process_repeats as sittings
 from harness.runner import shipped
 from harness.runner.jobs import Jobs
-from harness.runner.machine_lock import turn
+from harness.runner.machine_lock import machine as machine_held
 from harness.runner.progress import Progress
 from harness.runner.todo import FINAL, Group, Unit
-from harness.store import trials as store
-from harness.store.trials import Stored
+from harness.runner.validity import Validity
+from harness.store import write
+from harness.store.folder import ResultsFolder
+from harness.store.stored import Stored
 from harness.suite.plan import Plan
 from harness.suite.trials import FIT, Trial, stream_seed
 
@@ -37,14 +41,16 @@ class Worker:
     def __init__(
         self,
         plan: Plan,
-        results: Path,
+        results: ResultsFolder,
         stored: dict[str, Stored],
+        validity: Validity,
         progress: Progress,
         refit: bool = False,
+        doubtful: frozenset[str] = frozenset(),
     ):
         self.plan, self.results, self.stored, self.progress = plan, results, stored, progress
-        self.refit = refit
-        self.jobs = Jobs(plan.baseline, results, stored, progress.note)
+        self.validity, self.refit, self.doubtful = validity, refit, doubtful
+        self.jobs = Jobs(plan.baseline, stored, progress.note, plan.resolved)
 
     def unit(self, unit: Unit) -> None:
         """Fit all methods to one material, then measure them."""
@@ -62,7 +68,8 @@ class Worker:
         if path is None:
             return False
         outcome, about = shipped.load(path)
-        store.scratch(self.results, trial.hash)
+        if not shipped.still(about["parts"], self.validity.parts(trial)):
+            return False  # it was trained by other code
         self._save(
             trial, outcome, about["started"], about["seconds"], about["environment"], path.name
         )
@@ -73,6 +80,9 @@ class Worker:
     def _group(self, group: Group) -> None:
         ready = []
         for trial in group.trials:
+            if trial.hash in self.doubtful and self.validity.stands(trial):
+                self.progress.finish(trial, Outcome(), 0.0)  # its fit gave the same state again
+                continue
             outcome = self._blocked(trial)
             if outcome is None:
                 ready.append(trial)
@@ -81,7 +91,7 @@ class Worker:
         if not ready:
             return
         timed = ready[0].timed
-        with turn(self.progress.note, alone=timed):
+        with machine_held(self.progress.note, alone=timed):
             self._measure(ready, group.extra if timed else None)
 
     def _blocked(self, trial: Trial) -> Outcome | None:
@@ -111,9 +121,7 @@ class Worker:
             if trial is extra:
                 known = self.stored.get(trial.hash)
                 if known is not None and known.status in FINAL:
-                    # It ran along to be compared with; what is stored stays.
-                    store.discard(self.results, trial.hash)
-                    continue
+                    continue  # it ran along to be compared with; what is stored stays
             self._save(trial, outcome, started, share)
 
     def _outcomes(self, trials: list[Trial]) -> list[Outcome]:
@@ -168,36 +176,49 @@ class Worker:
         environment: dict[str, Any] | None = None,
         origin: str = "",
     ) -> None:
-        described = {
-            "trial": trial.hash,
-            "labels": trial.labels,
-            "identity": trial.identity,
-            "environment": environment or machine.describe(trial.budget.device),
-            "started": started,
-            "seconds": round(seconds, 3),
-        }
-        if trial.hash in self.jobs.choices:
-            described["effects"] = self.jobs.choices[trial.hash]
-        if trial.fit:
-            described["fit"] = trial.fit
-        if origin:
-            described["shipped"] = origin
+        if not origin:
+            outcome = analysed(trial, outcome)
+        about = Stored(
+            hash=trial.hash,
+            trial=trial.identity,
+            labels=trial.labels,
+            status=outcome.status,
+            reason=outcome.reason,
+            environment=environment or machine.describe(trial.budget.device),
+            started=started,
+            seconds=round(seconds, 3),
+            fit=trial.fit,
+            shipped=origin,
+            effects=self.jobs.choices.get(trial.hash, {}),
+            parts=self.validity.parts(trial),
+            entries=self.validity.entries(trial),
+            analysis="" if origin else self.validity.analysis(trial.measure),
+        )
         try:
-            try:
-                store.save_trial(self.results, described, outcome)
-            except (TypeError, ValueError, RuntimeError) as error:
-                outcome = Outcome(
-                    "error",
-                    f"the outcome cannot be stored: {registry.oneline(error)}",
-                    traceback=traceback.format_exc(),
-                )
-                store.scratch(self.results, trial.hash)
-                store.save_trial(self.results, described, outcome)
-        except OSError as error:
-            raise InputError(f"{self.results}: cannot be written: {error.strerror}") from error
-        self.stored[trial.hash] = store.load_trial(self.results, trial.hash)
+            stored = write.save(self.results, about, outcome)
+        except (TypeError, ValueError, RuntimeError) as error:
+            outcome = Outcome(
+                "error",
+                f"the outcome cannot be stored: {registry.oneline(error)}",
+                traceback=traceback.format_exc(),
+            )
+            about = replace(about, status=outcome.status, reason=outcome.reason)
+            stored = write.save(self.results, about, outcome)
+        self.stored[trial.hash] = stored
         # What came ready says nothing about the time that is left.
         self.progress.finish(trial, outcome, 0.0 if origin else seconds)
+
+
+def analysed(trial: Trial, outcome: Outcome) -> Outcome:
+    """``outcome`` with the records that the analysis makes of its raw outputs."""
+    if outcome.status != "ok":
+        return outcome
+    raw = Raw(outcome.arrays, outcome.documents, trial.settings)
+    numbers = analysis.numbers(trial.measure, raw)
+    if numbers is None:
+        return outcome
+    reasons = filter(None, (outcome.reason, numbers.reason))
+    return finished(replace(outcome, records=numbers.records, reason="; ".join(reasons)))
 
 
 def finished(outcome: Outcome) -> Outcome:

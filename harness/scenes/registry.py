@@ -21,11 +21,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from harness.core.paths import ROOT
 from harness.core.protocol.errors import InputError, nearest
 from harness.effects.offer import require_of
-from harness.effects.registry import checked, is_auto
-from harness.identity.source import covered, digest
+from harness.effects.registry import checked
 from harness.materials import registry as materials
 from harness.scenes import library, xml
 from harness.scenes.base import Scene, XmlScene
@@ -55,20 +53,22 @@ def validate(spec: Spec, base_dir: Path | str | None = None) -> None:
 
 def identity(spec: Spec, base_dir: Path | str | None = None) -> dict[str, Any]:
     """What determines the scene, as JSON data: contents of files, never their paths."""
-    scene = make(spec, base_dir)
+    return identity_of(spec, make(spec, base_dir), base_dir)
+
+
+def identity_of(
+    spec: Spec, scene: Scene | XmlScene, base_dir: Path | str | None = None
+) -> dict[str, Any]:
+    """:func:`identity` of a scene that is made already."""
     if isinstance(scene, XmlScene):
-        found = xml.identity(scene, base_dir)
-        return found | ({"auto": _auto_source()} if is_auto(scene.effects) else {})
+        return xml.identity(scene, base_dir)
     _, name, parameters = _arguments(spec)
     found = {
         "type": "named",
         "name": name,
         "parameters": parameters,
         "effects": sorted(scene.effects),
-        "source": digest(covered(Path(inspect.getfile(_function(name))), "harness.scenes")),
     }
-    if is_auto(scene.effects):
-        found["auto"] = _auto_source()
     around = {str(shape.material): shape.material for shape in scene.shapes if shape.material}
     if around:
         found["materials"] = [materials.identity(around[key]) for key in sorted(around)]
@@ -85,11 +85,6 @@ def make(spec: Spec, base_dir: Path | str | None = None) -> Scene | XmlScene:
         scene = replace(scene, effects=checked(spec["effects"], f"scene '{shown}'"))
     require_of(scene)
     return scene
-
-
-def _auto_source() -> str:
-    """Of what finds the effects that ``auto`` stands for."""
-    return digest(covered(ROOT / "harness" / "measures" / "auto.py", "harness.measures"))
 
 
 def _function(name: str) -> Any:

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
+from pathlib import Path
 from typing import Any, TypeVar
 
 from harness.core import machine, registry
 from harness.core.protocol.errors import InputError, nearest
 from harness.core.protocol.method import Budget
-from harness.identity.source import digest
+from harness.identity.named_files import replaced
 from harness.measures import registry as measures
 from harness.suite.load import Loaded
+from harness.suite.resolve import Resolved
 from harness.suite.schema import MethodSpec, NamedSpec, Profile, Suite
 from harness.suite.sweep import BUDGET
 from harness.suite.trials import FIT, Trial, counted_budget, hash_of
@@ -37,6 +39,7 @@ class Plan:
     text: str
     where: str
     """The suite as the user named it."""
+    resolved: Resolved = field(default_factory=Resolved, compare=False, repr=False)
 
     def baseline_of(self, trial: Trial) -> Trial:
         """The trial of the baseline that a timed trial is compared with."""
@@ -57,6 +60,7 @@ def make_plan(loaded: Loaded, profile: str | None = None, device: str = "cpu") -
     try:
         name, chosen = _profile(suite, profile)
         baseline = _baseline(suite, chosen)
+        expansion = _Expansion(suite, name, chosen, device, baseline, loaded.path.parent)
         return Plan(
             suite=suite.name,
             title=suite.title or suite.name,
@@ -64,9 +68,10 @@ def make_plan(loaded: Loaded, profile: str | None = None, device: str = "cpu") -
             device=device,
             baseline=baseline,
             report=suite.report.model_dump(),
-            trials=_Expansion(suite, name, chosen, device, baseline).trials(),
+            trials=expansion.trials(),
             text=loaded.text,
             where=str(loaded.path),
+            resolved=expansion.resolved,
         )
     except InputError as error:
         raise InputError(f"{loaded.path}: {error}") from None
@@ -100,25 +105,33 @@ class _Expansion:
     """The product itself. Every entry of the suite is resolved, chosen by the profile or not."""
 
     def __init__(
-        self, suite: Suite, profile_name: str, profile: Profile, device: str, baseline: str
+        self,
+        suite: Suite,
+        profile_name: str,
+        profile: Profile,
+        device: str,
+        baseline: str,
+        folder: Path,
     ):
         from harness.materials import registry as materials
         from harness.scenes import registry as scenes
 
         self.suite, self.profile, self.profile_name = suite, profile, profile_name
         self.device = device
-        self.versions = machine.versions()
         self.settings = self._settings()
-        self.sources = {name: digest(measures.source(name)) for name in self.settings}
-        adapters = _each("methods", suite.methods, lambda m: digest(registry.source(m.name)))
+        _each("methods", suite.methods, lambda m: registry.find(m.name))
         self.materials = _each("materials", suite.materials, lambda m: materials.identity(_spec(m)))
-        self.scenes = _each("scenes", suite.scenes, lambda s: scenes.identity(_spec(s)))
+        self.resolved = Resolved()
+        self.scenes = _each(
+            "scenes",
+            suite.scenes,
+            lambda s: scenes.identity_of(_spec(s), self.resolved.scene_of(_spec(s))),
+        )
         self.methods = [self._overridden(m) for m in _chosen(suite.methods, profile.methods)]
         self.described = {
             method.label: {
                 "name": registry.find(method.name).name,
-                "params": method.params,
-                "source": adapters[method.label],
+                "params": replaced(method.params, folder),
                 "budget": counted_budget(self._budget(method)),
             }
             for method in self.methods
@@ -142,7 +155,6 @@ class _Expansion:
                 "material": self.materials[material.name],
                 "method": self.described[method.label],
                 "seed": seed,
-                "versions": self.versions,
             },
             suite=self.suite.name,
             material=material.name,
@@ -175,7 +187,7 @@ class _Expansion:
         measure, settings = measures.load(name), self.settings[name]
         identity = {
             **blank.identity,
-            "measure": {"name": name, "settings": settings, "source": self.sources[name]},
+            "measure": {"name": name, "settings": settings},
         }
         if measure.timed:
             # Numbers in comparison with the baseline change with the baseline.

@@ -8,26 +8,13 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Mapping
-from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 from harness.core import registry
-from harness.core.classes import named
-from harness.core.paths import ROOT
-from harness.identity.cache import Cache, default_folder
 from harness.identity.digests import Digests, Part, SourceDigest
 from harness.identity.tree import Tree
 from harness.identity.verdict import ADAPTER, MATERIAL, MEASURE, SCENE, TRAINING
-from harness.suite.trials import FIT
-
-TABLES = (
-    "harness.effects.registry:EFFECTS",
-    "harness.materials.hard.registry:MATERIALS",
-    "harness.materials.kinds:KINDS",
-    "harness.scenes.library:SCENES",
-)
-"""Units from which one entry is chosen by name."""
 
 EVERY_TRIAL = (
     "harness.core.streams:generator",
@@ -43,30 +30,12 @@ SHARED_RUN = (
 """Of timed measures: how the outcomes of several processes become one."""
 
 
-def _shipped_method(name: str) -> list[str]:
-    found = named(registry.METHODS).get(name)
-    return [f"methods.{found.file.stem}:{found.class_name}"] if found else []
-
-
-BY_NAME = {"harness.core.registry:make": _shipped_method}
-"""Functions that find something by name, and the unit that a name stands for."""
-
-
-@lru_cache(maxsize=8)
-def digests(root: Path = ROOT, cached: bool = True) -> Digests:
-    """Digests of the tree below ``root``, as it is when they are first asked for."""
-    cache = Cache(default_folder() if cached else None)
-    roots = {top: root / top for top in ("harness", "methods")}
-    return Digests(Tree(roots, cut=TABLES, by_name=BY_NAME, cache=cache))
-
-
-def of_trial(
+def parts_of(
     known: Digests, name: str, material_spec: Any, kind: type, scene_part: Part | None = None
-) -> dict[str, SourceDigest]:
-    """Digests of the parts of a trial: adapter, material, measure and, if it has one, scene.
+) -> dict[str, Part]:
+    """Where the parts of a trial begin: adapter, material, measure and, if it has one, scene.
 
-    ``name`` is the method's, ``kind`` the measure's class. The trial that fits has the part
-    ``training`` too, which in others is in the fitted state.
+    ``name`` is the method's, ``kind`` the measure's class.
     """
     tree = known.tree
     parts = {
@@ -79,7 +48,14 @@ def of_trial(
     }
     if scene_part is not None:
         parts[SCENE] = scene_part
-    fits = getattr(kind, "name", "") == FIT
+    return parts
+
+
+def of_trial(known: Digests, parts: Mapping[str, Part], fits: bool) -> dict[str, SourceDigest]:
+    """Digests of the ``parts`` of a trial.
+
+    The trial that ``fits`` has the part ``training`` too, which in others is in the fitted state.
+    """
     return known.of(parts, {TRAINING: (ADAPTER, "fit")} if fits else None)
 
 

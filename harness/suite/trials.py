@@ -22,8 +22,10 @@ UNCOUNTED_BUDGET = ("max_seconds",)
 class Trial:
     """One planned trial.
 
-    ``identity`` is a pure description, all that can change the numbers; ``hash`` stands for
-    it. The rest is what the runner needs to carry it out and what tables call it.
+    ``identity`` describes what is asked: material, method and scene with the content of the files
+    that they name, measure, settings, seed, and the machine where the number is a time; ``hash``
+    is its key. The code that answers is no part of it (:mod:`harness.suite.source_parts`). The
+    rest is what the runner needs to carry it out and what tables call it.
     """
 
     hash: str

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from harness.analysis.results import Results
 from harness.report.table import Cell, Row, Section, Table
-from harness.store.trials import NOT_RUN
+from harness.store.stored import NOT_RUN
 
 _COLUMNS = ("method", "measure", "status", "reason")
 

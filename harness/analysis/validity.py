@@ -1,0 +1,50 @@
+"""Which stored numbers the code beside them would not give any more, told from source alone."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from harness.identity.digests import Digests, Part
+from harness.identity.ours import digests
+from harness.identity.tree import BESIDE
+from harness.identity.verdict import ADAPTER, BASELINE, SOURCES, TRAINING, judge
+from harness.store.folder import ResultsFolder
+from harness.store.stored import Stored
+
+
+def stale(results: ResultsFolder, trials: Mapping[str, Stored]) -> dict[str, str]:
+    """Why, for each of ``trials`` whose code has changed; nothing is computed anew.
+
+    A change that a run found to move no number (``equivalent``) does not count. A user's own
+    adapter or measure, which is not part of the project, is compared by a run alone.
+    """
+    known, equal = digests(), results.equivalents()
+    now = {key: _current(known, trial) for key, trial in trials.items()}
+    adapters = {
+        trial.parts[ADAPTER]: now[key][ADAPTER]
+        for key, trial in trials.items()
+        if ADAPTER in now[key] and ADAPTER in trial.parts
+    }
+    found = {}
+    for key, trial in trials.items():
+        base = trial.parts.get(BASELINE, "")
+        current = now[key] | ({BASELINE: adapters[base]} if base in adapters else {})
+        before = {part: digest for part, digest in trial.parts.items() if part in current}
+        verdict = judge(before, current, lambda *change: change in equal)
+        if trial.status == "ok" and not verdict.stands:
+            found[key] = verdict.sentence
+    return found
+
+
+def _current(known: Digests, trial: Stored) -> dict[str, str]:
+    """Digests of the trial's parts that are source code of the project."""
+    parts = {name: Part(*map(tuple, about)) for name, about in trial.entries.items()}
+    if any(entry.startswith(BESIDE) for part in parts.values() for entry in part.entries):
+        return {}
+    apart = {TRAINING: (ADAPTER, "fit")} if TRAINING in trial.parts else None
+    try:
+        found = known.of(parts, apart)
+    except KeyError:
+        # What it began with is gone; no digest equals that of nothing.
+        return dict.fromkeys((part for part in SOURCES if part in trial.parts), "")
+    return {name: source.digest for name, source in found.items()}

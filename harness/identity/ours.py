@@ -1,0 +1,38 @@
+"""The source tree of this project, as :mod:`harness.identity` follows it."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from pathlib import Path
+
+from harness.core import registry
+from harness.core.classes import named
+from harness.core.paths import ROOT
+from harness.identity.cache import Cache, default_folder
+from harness.identity.digests import Digests
+from harness.identity.tree import Tree
+
+TABLES = (
+    "harness.effects.registry:EFFECTS",
+    "harness.materials.hard.registry:MATERIALS",
+    "harness.materials.kinds:KINDS",
+    "harness.scenes.library:SCENES",
+)
+"""Units from which one entry is chosen by name."""
+
+
+def _shipped_method(name: str) -> list[str]:
+    found = named(registry.METHODS).get(name)
+    return [f"methods.{found.file.stem}:{found.class_name}"] if found else []
+
+
+BY_NAME = {"harness.core.registry:make": _shipped_method}
+"""Functions that find something by name, and the unit that a name stands for."""
+
+
+@lru_cache(maxsize=8)
+def digests(root: Path = ROOT, cached: bool = True) -> Digests:
+    """Digests of the tree below ``root``, as it is when they are first asked for."""
+    cache = Cache(default_folder() if cached else None)
+    roots = {top: root / top for top in ("harness", "methods")}
+    return Digests(Tree(roots, cut=TABLES, by_name=BY_NAME, cache=cache))

@@ -1,0 +1,104 @@
+"""What planned trials stand on now, and whether stored numbers still hold."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from typing import Any
+
+from harness.analysis.renew import analysis_digest
+from harness.core import machine
+from harness.identity.digests import Part, SourceDigest
+from harness.identity.ours import digests
+from harness.identity.verdict import (
+    ADAPTER,
+    BASELINE,
+    BASELINE_STATE,
+    SCENE,
+    VERSIONS,
+    Verdict,
+    judge,
+)
+from harness.identity.verdict import FIT as STATE_PART
+from harness.measures import registry as measures
+from harness.store.stored import STATE, Stored
+from harness.suite import source_parts
+from harness.suite.plan import Plan
+from harness.suite.trials import FIT, Trial
+
+
+class Validity:
+    """Digests of the parts of a plan's trials. ``stored`` may grow: fitted states are in it."""
+
+    def __init__(self, plan: Plan, stored: Mapping[str, Stored]):
+        self.plan, self.stored = plan, stored
+        self.known = digests()
+        self._parts: dict[tuple, dict[str, Part]] = {}
+        self._analyses: dict[str, str] = {}
+        self._sources: dict[tuple, dict[str, SourceDigest]] = {}
+
+    def parts(self, trial: Trial) -> dict[str, str]:
+        """A digest per part, as they are now; of a fit that is not stored yet "" for its state."""
+        found = {name: source.digest for name, source in self.sources(trial).items()}
+        found[VERSIONS] = ", ".join(f"{k} {v}" for k, v in machine.versions().items())
+        if trial.fit:
+            found[STATE_PART] = self._state(trial.fit)
+        if trial.timed and trial.method != self.plan.baseline:
+            base = self.plan.baseline_of(trial)
+            found[BASELINE] = self.sources(base)[ADAPTER].digest
+            found[BASELINE_STATE] = self._state(base.fit)
+        return found
+
+    def entries(self, trial: Trial) -> dict[str, Any]:
+        """Where the code of each part begins, as plain data."""
+        return {n: [[*p.entries], [*p.mentions]] for n, p in self._of(trial).items()}
+
+    def analysis(self, measure: str) -> str:
+        """Digest of what makes the measure's records."""
+        if measure not in self._analyses:
+            self._analyses[measure] = analysis_digest(measure)
+        return self._analyses[measure]
+
+    def sources(self, trial: Trial) -> dict[str, SourceDigest]:
+        """Digest and units of each part that is source code."""
+        key = self._key(trial)
+        if key not in self._sources:
+            fits = trial.measure == FIT
+            self._sources[key] = source_parts.of_trial(self.known, self._of(trial), fits)
+        return self._sources[key]
+
+    def verdict(self, trial: Trial) -> Verdict:
+        """Of the stored trial, which is there."""
+        return judge(self.stored[trial.hash].parts, self.parts(trial))
+
+    def stands(self, trial: Trial) -> bool:
+        """Whether a trial is stored and its numbers are current."""
+        return trial.hash in self.stored and self.verdict(trial).stands
+
+    def _of(self, trial: Trial) -> dict[str, Part]:
+        key = self._key(trial)
+        if key not in self._parts:
+            self._parts[key] = source_parts.parts_of(
+                self.known,
+                trial.method_name,
+                trial.material_spec,
+                measures.load(trial.measure),
+                self._scene(trial) if trial.scene else None,
+            )
+        return self._parts[key]
+
+    def _scene(self, trial: Trial) -> Part:
+        def make() -> Part:
+            scene = self.plan.resolved.scene(trial)
+            shapes = getattr(scene, "shapes", ())
+            around = {json.dumps(s.material): s.material for s in shapes if s.material}
+            return source_parts.scene(trial.scene_spec, scene, around.values())
+
+        return self.known.remembered((SCENE, repr(trial.scene_spec)), make)
+
+    def _state(self, fit: str) -> str:
+        stored = self.stored.get(fit)
+        return stored.files.get(STATE, "") if stored else ""
+
+    def _key(self, trial: Trial) -> tuple:
+        return trial.method_name, repr(trial.material_spec), trial.measure, repr(trial.scene_spec)

@@ -1,0 +1,148 @@
+"""The file ``results.sqlite`` of a results folder: its tables, how it is opened, what can go wrong.
+
+SQLite, for its transactions (a trial is there whole or not at all, whatever kills the run), for one
+file instead of thousands, and because every language reads it. The journal is the classic one,
+not the write-ahead log: that needs a writable folder even to read.
+"""
+
+from __future__ import annotations
+
+import sqlite3
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from harness.core.protocol.errors import InputError
+
+FILE = "results.sqlite"
+OLD_PLAN = "plan.json"
+"""Mark of the format before this one, a folder a trial."""
+MARK = 0x42534446
+"""SQLite's ``application_id`` of a file of ours."""
+FORMAT = 1
+"""SQLite's ``user_version``; a change of the tables makes it grow."""
+_PATIENCE = 10.0
+"""Seconds that a reader waits for a writer's transaction, and the other way round."""
+
+_TABLES = """
+CREATE TABLE meta (name TEXT PRIMARY KEY, value TEXT NOT NULL) WITHOUT ROWID;
+CREATE TABLE text (digest TEXT PRIMARY KEY, body BLOB NOT NULL) WITHOUT ROWID;
+CREATE TABLE plan (
+    position INTEGER PRIMARY KEY, trial TEXT NOT NULL, suite TEXT NOT NULL,
+    material TEXT NOT NULL, method TEXT NOT NULL, scene TEXT NOT NULL, measure TEXT NOT NULL,
+    seed INTEGER NOT NULL, fit TEXT NOT NULL, identity TEXT NOT NULL);
+CREATE INDEX plan_trial ON plan (trial);
+CREATE TABLE trial (
+    trial TEXT PRIMARY KEY, checksum TEXT NOT NULL, body BLOB NOT NULL) WITHOUT ROWID;
+CREATE TABLE array (
+    trial TEXT NOT NULL, name TEXT NOT NULL, digest TEXT NOT NULL,
+    PRIMARY KEY (trial, name)) WITHOUT ROWID;
+CREATE TABLE blob (digest TEXT PRIMARY KEY, body BLOB NOT NULL);
+CREATE TABLE damaged (
+    trial TEXT NOT NULL, noticed TEXT NOT NULL, reason TEXT NOT NULL, body BLOB);
+CREATE TABLE equivalent (
+    part TEXT NOT NULL, old TEXT NOT NULL, new TEXT NOT NULL, context TEXT NOT NULL,
+    PRIMARY KEY (part, old, new, context)) WITHOUT ROWID;
+"""
+
+
+def is_ours(folder: Path) -> bool:
+    """Whether the folder holds results of this format (a marked file, of any version)."""
+    path = folder / FILE
+    try:
+        with path.open("rb") as file:
+            head = file.read(100)
+    except OSError:
+        return False
+    return head[:16] == b"SQLite format 3\0" and int.from_bytes(head[68:72], "big") == MARK
+
+
+def connect(folder: Path, write: bool = False) -> sqlite3.Connection:
+    """The open file of a results folder; with ``write`` it is made if it is not there.
+
+    Raises:
+        InputError: no results there, an older or newer format, not readable, not a database.
+    """
+    path = folder / FILE
+    if not path.is_file():
+        if (folder / OLD_PLAN).is_file():
+            raise InputError(
+                f"{folder}: holds results of an older format, one folder a trial; this version"
+                f" keeps them in {FILE}: run the suite again with another --out, or move that"
+                " folder away first"
+            )
+        if not write:
+            raise InputError(f"{folder}: holds no results (there is no {FILE})")
+    with explained(folder):
+        if write:
+            connection = sqlite3.connect(path, timeout=_PATIENCE, isolation_level=None)
+        else:
+            uri = f"{path.resolve().as_uri()}?mode=ro"
+            connection = sqlite3.connect(uri, timeout=_PATIENCE, isolation_level=None, uri=True)
+        try:
+            _check(connection, folder, write)
+        except BaseException:
+            connection.close()
+            raise
+    return connection
+
+
+def _check(connection: sqlite3.Connection, folder: Path, write: bool) -> None:
+    (mark,) = connection.execute("PRAGMA application_id").fetchone()
+    (version,) = connection.execute("PRAGMA user_version").fetchone()
+    (tables,) = connection.execute("SELECT count(*) FROM sqlite_master").fetchone()
+    if mark == 0 and tables == 0 and write:
+        with transaction(connection):
+            for statement in _TABLES.split(";"):
+                if statement.strip():
+                    connection.execute(statement)
+            connection.execute(f"PRAGMA application_id = {MARK}")
+            connection.execute(f"PRAGMA user_version = {FORMAT}")
+        return
+    if mark != MARK:
+        raise InputError(f"{folder / FILE}: is another program's database; choose another folder")
+    if version != FORMAT:
+        which = "an older" if version < FORMAT else "a newer"
+        raise InputError(
+            f"{folder / FILE}: results of {which} format ({version}; this version writes {FORMAT});"
+            " run the suite again with another --out"
+        )
+
+
+@contextmanager
+def transaction(connection: sqlite3.Connection) -> Iterator[None]:
+    """All of what is inside, or nothing of it."""
+    connection.execute("BEGIN IMMEDIATE")
+    try:
+        yield
+    except BaseException:
+        if connection.in_transaction:
+            connection.execute("ROLLBACK")
+        raise
+    connection.execute("COMMIT")
+
+
+class Damaged(InputError):
+    """The file is not a whole database any more."""
+
+
+@contextmanager
+def explained(folder: Path) -> Iterator[None]:
+    """SQLite's errors inside as an :class:`InputError` of one line."""
+    try:
+        yield
+    except sqlite3.OperationalError as error:
+        raise InputError(f"{folder / FILE}: {_sentence(str(error))}") from error
+    except sqlite3.DatabaseError as error:
+        raise Damaged(f"{folder / FILE}: is damaged ({error})") from error
+
+
+def _sentence(text: str) -> str:
+    known = {
+        "locked": "another run is writing there; wait for it or choose another --out",
+        "readonly": "cannot be written: the file or its folder is read-only",
+        "unable to open": "cannot be opened: the folder is read-only or not there",
+        "full": "the disk is full; what was stored before is kept, the same command goes on",
+        "disk I/O": "the disk refuses to read or write; what was stored before is kept",
+    }
+    return next((said for word, said in known.items() if word in text), text)

@@ -1,0 +1,68 @@
+"""Images and states of fitted methods: files beside the database, named by their content."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import re
+from collections.abc import Callable, Iterable
+from pathlib import Path
+
+from harness.core.protocol.errors import InputError
+
+FOLDER = "files"
+_OURS = re.compile(r"([0-9a-f]{32}|\.tmp-\d+)\.\w+")
+
+
+class DamagedFile(InputError):
+    """A file beside the database is missing, or is not what was stored."""
+
+
+def keep(results: Path, name: str, write: Callable[[Path], None]) -> str:
+    """Have ``write`` make a file and keep it under its digest, which is returned.
+
+    ``name`` gives the suffix. The same content is kept once.
+    """
+    folder = results / FOLDER
+    folder.mkdir(parents=True, exist_ok=True)
+    temporary = folder / f".tmp-{os.getpid()}{Path(name).suffix}"
+    try:
+        write(temporary)
+        digest = digest_of(temporary)
+        os.replace(temporary, place(results, name, digest))
+    finally:
+        temporary.unlink(missing_ok=True)
+    return digest
+
+
+def place(results: Path, name: str, digest: str) -> Path:
+    """Where a file is kept."""
+    return results / FOLDER / f"{digest}{Path(name).suffix}"
+
+
+def checked(results: Path, name: str, digest: str) -> Path:
+    """The file, if it is what was stored.
+
+    Raises:
+        DamagedFile: it is missing or its content changed.
+    """
+    path = place(results, name, digest)
+    if not path.is_file():
+        raise DamagedFile(f"{path}: is missing; harness run makes it again")
+    if digest_of(path) != digest:
+        raise DamagedFile(f"{path}: does not match its checksum; harness run makes it again")
+    return path
+
+
+def sweep(results: Path, wanted: Iterable[str]) -> None:
+    """Remove files of ours that no trial names: what a killed run left."""
+    kept = set(wanted)
+    for path in (results / FOLDER).glob("*"):
+        if _OURS.fullmatch(path.name) and path.stem not in kept:
+            path.unlink()
+
+
+def digest_of(path: Path) -> str:
+    """First 32 hex digits of the SHA-256 of a file's bytes."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()[:32]

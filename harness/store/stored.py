@@ -1,0 +1,106 @@
+"""A trial as it is stored."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from harness.core.protocol.errors import InputError
+
+if TYPE_CHECKING:
+    import numpy as np
+    import torch
+
+COLUMNS = (
+    "suite material method scene measure metric value ci_low ci_high unit seed status reason trial"
+).split()
+LABELS = ("suite", "material", "method", "scene", "measure", "seed")
+NOT_RUN = "not run yet"
+DAMAGED = "damaged"
+"""Status of a trial that is not what was stored; in the results' frame it is an ``error``."""
+STATE = "state.safetensors"
+"""Name of the file with a fitted method's state; all other files are images."""
+
+
+@dataclass
+class Stored:
+    """A trial as stored. Arrays, images and tensors are read when asked for.
+
+    ``trial`` is its description, which the key is the hash of; ``records`` are dicts of metric,
+    value, ci_low, ci_high, unit; ``environment`` says which machine and versions; ``parts`` are the
+    digests of the code and data that it was measured with (:mod:`harness.identity`).
+    """
+
+    hash: str
+    trial: dict[str, Any]
+    labels: dict[str, Any]
+    status: str
+    reason: str
+    records: list[dict[str, Any]] = field(default_factory=list)
+    environment: dict[str, Any] = field(default_factory=dict)
+    started: str = ""
+    seconds: float = 0.0
+    traceback: str = ""
+    folder: Path | None = None
+    fit: str = ""
+    """Key of the fit that was measured; "" for a fit."""
+    shipped: str = ""
+    """Of a fit that was not run but came with the harness: the name of its file."""
+    effects: dict[str, Any] = field(default_factory=dict)
+    """What ``effects: auto`` came to in the trial's scene, and why; empty without ``auto``."""
+    documents: dict[str, Any] = field(default_factory=dict)
+    """Raw outputs that are no arrays, by name: plain data."""
+    parts: dict[str, str] = field(default_factory=dict)
+    entries: dict[str, Any] = field(default_factory=dict)
+    """By part that is source code: where that code begins, as ``module:name``."""
+    probes: dict[str, str] = field(default_factory=dict)
+    """By part: digest of the probe that was made when it was measured."""
+    analysis: str = ""
+    """Digest of the analysis that made the records of the raw outputs; "" if it cannot again."""
+    files: dict[str, str] = field(default_factory=dict)
+    """Digests of the files beside the database, by name."""
+
+    @cached_property
+    def arrays(self) -> dict[str, np.ndarray]:
+        """Raw outputs by name."""
+        from harness.store.folder import ResultsFolder
+
+        if self.folder is None:
+            return {}
+        with ResultsFolder(self.folder) as results:
+            return results.arrays(self.hash)
+
+    @cached_property
+    def images(self) -> dict[str, np.ndarray]:
+        """Images [H, W, 3] by name, linear."""
+        from harness.mitsuba_runtime import exr
+        from harness.store.files import checked
+
+        names = sorted(name for name in self.files if name != STATE)
+        return {
+            name.removesuffix(".exr"): exr.read(checked(self._folder, name, self.files[name]))
+            for name in names
+        }
+
+    def tensors(self, device: str = "cpu") -> dict[str, torch.Tensor]:
+        """State of the fitted method."""
+        from safetensors.torch import load_file
+
+        from harness.store.files import checked
+
+        if not self.has_state:
+            raise InputError(f"{self.folder}: {self.hash} holds no state of a fitted method")
+        return load_file(checked(self._folder, STATE, self.files[STATE]), device=device)
+
+    @property
+    def has_state(self) -> bool:
+        """Whether the state of a fitted method is there."""
+        return STATE in self.files
+
+    @property
+    def _folder(self) -> Path:
+        if self.folder is None:
+            raise InputError(f"{self.hash}: not stored yet")
+        return self.folder
