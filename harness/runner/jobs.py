@@ -14,7 +14,6 @@ from harness.core.protocol.method import Method
 from harness.effects.registry import is_auto
 from harness.measures.base import Job
 from harness.measures.fit import restore
-from harness.store import trials as store
 from harness.store.trials import Stored
 from harness.suite.trials import FIT, Trial, stream_seed
 
@@ -53,7 +52,6 @@ class Jobs:
             generator=torch.Generator().manual_seed(stream_seed(trial.measure, trial.seed)),
             settings=dict(trial.settings),
             budget=trial.budget,
-            out_dir=store.scratch(self.results, trial.hash),
             make=make,
             baseline=trial.method == self.baseline,
             fit_records={}

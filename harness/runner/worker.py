@@ -19,8 +19,7 @@ from harness.core.protocol.errors import BudgetExceeded, InputError, Unsupported
 from harness.measures import registry as measures
 from harness.measures.adapter_smoke_test import BadAdapter
 from harness.measures.base import Job, Outcome
-from harness.runner import process_repeats as sittings
-from harness.runner import shipped
+from harness.runner import process_repeats, shipped
 from harness.runner.jobs import Jobs
 from harness.runner.machine_lock import turn
 from harness.runner.progress import Progress
@@ -62,7 +61,7 @@ class Worker:
         if path is None:
             return False
         outcome, about = shipped.load(path)
-        store.scratch(self.results, trial.hash)
+        self._number(trial, outcome)
         self._save(
             trial, outcome, about["started"], about["seconds"], about["environment"], path.name
         )
@@ -133,15 +132,22 @@ class Worker:
 
     def _checked_run(self, measure: Any, jobs: list[Job]) -> list[Outcome]:
         first = jobs[0].trial
-        if sittings.count(measure, first)[1] > 1:
+        if process_repeats.count(measure, first)[1] > 1:
             trials = [job.trial for job in jobs]
-            outcomes = sittings.run(measure, trials, self.jobs, self.progress.note)
+            outcomes = process_repeats.run(measure, trials, self.jobs, self.progress.note)
         else:
             torch.manual_seed(stream_seed(first.measure, first.seed))
             outcomes = measure.run(jobs, self.progress.note)
         if len(outcomes) != len(jobs):
             raise RuntimeError(f"{measure.name}: {len(outcomes)} outcomes for {len(jobs)} jobs")
+        for job, outcome in zip(jobs, outcomes, strict=True):
+            self._number(job.trial, outcome)
         return [finished(outcome) for outcome in outcomes]
+
+    @staticmethod
+    def _number(trial: Trial, outcome: Outcome) -> None:
+        made = process_repeats.numbers_of(trial.measure, trial.settings, outcome)
+        outcome.records, outcome.reason = made.records, made.reason
 
     def _separately(self, measure: Any, jobs: list[Job], failed: Outcome) -> list[Outcome]:
         """After one of several has failed: each alone with the baseline, to find out which."""

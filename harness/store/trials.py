@@ -90,6 +90,12 @@ class Stored:
         assert self.folder is not None  # has_state says so
         return load_file(self.folder / "state.safetensors", device=device)
 
+    @cached_property
+    def documents(self) -> dict[str, Any]:
+        """Raw outputs that are no arrays, by name."""
+        path = self.folder / "documents.json" if self.folder else None
+        return read_json(path) if path is not None and path.is_file() else {}
+
     @property
     def has_state(self) -> bool:
         """Whether the state of a fitted method is there."""
@@ -129,6 +135,8 @@ def save_trial(results: Path, trial: Mapping[str, Any], outcome: Any) -> Path:
         import numpy as np
 
         np.savez_compressed(folder / "arrays.npz", **outcome.arrays)
+    if outcome.documents:
+        write_json(folder / "documents.json", outcome.documents)
     if outcome.images:
         from harness.mitsuba_runtime import exr
 
