@@ -15,9 +15,10 @@ import yaml
 
 from harness import Material
 from harness.core.protocol.errors import InputError
+from harness.core.record import Record
 from harness.materials import registry as materials
 from harness.measures import registry as measures
-from harness.measures.base import Job, Measure, Outcome, Record, Settings
+from harness.measures.base import Job, Measure, Outcome, Settings
 from harness.scenes import registry as scenes
 
 ADAPTERS = '''
@@ -146,7 +147,6 @@ class Probe(Measure):
         condition = job.material.conditions(job.settings["rows"], job.generator)
         value = float(job.method.pdf(condition, condition[:, -2:]).mean())
         weights = getattr(job.method, "weights", torch.zeros(3))
-        (job.out_dir / "note.txt").write_text("kept")
         return Outcome(
             records=[
                 Record("mean-pdf", math.nan if job.settings["poison"] else value, 0.0, 1.0, "1"),
@@ -154,6 +154,7 @@ class Probe(Measure):
             ],
             arrays={"weights": weights.numpy()},
             images={"flat": np.full((4, 4, 3), 0.5)},
+            documents={"note": "kept"},
         )
 
 

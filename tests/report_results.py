@@ -9,7 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from harness.measures.base import Outcome, Record
+from harness.core.record import Record
+from harness.measures.base import Outcome
 from harness.store import trials as store
 
 METHODS = {  # label: (registry name, variance over the ideal, nanoseconds per sample)

@@ -9,7 +9,8 @@ import pytest
 from harness.analysis.compare import compare
 from harness.cli.main import main
 from harness.core.protocol.errors import InputError
-from harness.measures.base import Outcome, Record
+from harness.core.record import Record
+from harness.measures.base import Outcome
 from harness.store import trials as store
 
 HERE = {"cpu": "Example CPU 3000", "cores": 2}

@@ -6,7 +6,6 @@ import math
 import subprocess
 import sys
 import time
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -63,7 +62,6 @@ def job(measure: str, method: Method, material: Material, **changes: Any) -> Job
         "generator": torch.Generator().manual_seed(0),
         "settings": measures.settings(measure, given),
         "budget": Budget(),
-        "out_dir": Path(),
         "make": lambda: type(method)(),
     }
     return Job(**{**kept, **changes})

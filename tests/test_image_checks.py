@@ -166,7 +166,6 @@ def job(method: Method, material: Material, scene: Any = STUDIO, **given: Any) -
         generator=torch.Generator().manual_seed(0),
         settings=measures.settings("image-checks", given),
         budget=BUDGET,
-        out_dir=Path(),
         make=lambda: type(method)(),
     )
 

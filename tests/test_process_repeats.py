@@ -17,8 +17,9 @@ from scipy import stats
 from harness import load_results
 from harness.analysis.process_pooling import pooled
 from harness.core.protocol.method import Budget
+from harness.core.record import Record
 from harness.measures import registry as measures
-from harness.measures.base import Outcome, Record
+from harness.measures.base import Outcome
 from harness.mitsuba_runtime.variant import use
 from harness.runner import process_repeats as sittings
 from harness.runner.jobs import Jobs

@@ -74,7 +74,7 @@ def test_what_a_trial_folder_holds(tmp_path: Path):
     trial = rows(tmp_path, measure="probe", method="with-state").iloc[0]["trial"]
     folder = tmp_path / "out" / trial
     names = {p.relative_to(folder).as_posix() for p in folder.rglob("*") if p.is_file()}
-    assert names == {"trial.json", "arrays.npz", "images/flat.exr", "note.txt"}
+    assert names == {"trial.json", "arrays.npz", "images/flat.exr", "documents.json"}
     found = json.loads((folder / "trial.json").read_text())
     assert found["environment"]["machine"]["cores"] >= 1
     assert found["environment"]["versions"]["torch"]

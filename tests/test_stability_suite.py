@@ -27,9 +27,10 @@ from harness.checks.run import CASE_ALARM, FALSE_ALARM
 from harness.core.jsonfile import read_json
 from harness.core.protocol.errors import InputError, Unsupported
 from harness.core.protocol.method import Budget
+from harness.core.record import Record
 from harness.measures import registry as measures
 from harness.measures import stability
-from harness.measures.base import Outcome, Record
+from harness.measures.base import Outcome
 from harness.report import write as reports
 from harness.report.figures import FIGURES, Canvas
 from harness.report.figures.heatmap import _FACE

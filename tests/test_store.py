@@ -13,7 +13,8 @@ import torch
 
 from harness import load_results
 from harness.core.protocol.errors import InputError
-from harness.measures.base import Outcome, Record
+from harness.core.record import Record
+from harness.measures.base import Outcome
 from harness.store import trials as store
 
 HASH, OTHER, THIRD = "0123456789abcdef", "fedcba9876543210", "00000000000000aa"

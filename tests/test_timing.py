@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -97,7 +96,6 @@ def job(method: Method, baseline: bool, **given: Any) -> Job:
         generator=torch.Generator().manual_seed(0),
         settings=measures.settings("throughput", given),
         budget=Budget(),
-        out_dir=Path(),
         make=lambda: method,
         baseline=baseline,
     )

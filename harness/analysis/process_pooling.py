@@ -1,66 +1,98 @@
-"""One outcome of several that were taken apart: the processes of a timing."""
+"""One trial's numbers from a timing that was repeated in fresh processes."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import re
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from harness.measures.base import Outcome, Record
+from harness.core.record import Numbers, Raw, Record
 from harness.stats.intervals import geometric_mean, mean_interval
 
-_DISTURBED = "disturbed"
+DISTURBED = "disturbed"
+PROCESSES = "processes"
 _RATIO = "-ratio"
+_PREFIX = re.compile(r"p(\d+)/(.+)")
 
 
-def pooled(outcomes: Sequence[Outcome], tolerance: float, own_times: Sequence[str]) -> Outcome:
+def together(parts: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """Arrays (or documents) of all processes in one mapping, under ``p0/NAME``, ``p1/NAME``, ..."""
+    return {f"p{i}/{name}": value for i, part in enumerate(parts) for name, value in part.items()}
+
+
+def split(raw: Raw) -> list[Raw] | None:
+    """Each process's raw data; None where they are of one process alone."""
+    arrays, documents = _split(raw.arrays), _split(raw.documents)
+    if not arrays:
+        return None
+    return [Raw(arrays[i], documents.get(i, {}), raw.settings) for i in sorted(arrays)]
+
+
+def joined(arrays: Mapping[str, NDArray]) -> dict[str, NDArray]:
+    """Arrays of repeated processes by their own names, one process after another.
+
+    :data:`PROCESSES` [processes] are the numbers of the processes. Arrays of one process come back
+    as they are.
+    """
+    parts = _split(arrays)
+    if not parts:
+        return dict(arrays)
+    found: dict[str, list[NDArray]] = {}
+    for i in sorted(parts):
+        for name, array in parts[i].items():
+            found.setdefault(name, []).append(np.atleast_1d(array))
+    return {
+        **{name: np.concatenate(each) for name, each in found.items()},
+        PROCESSES: np.array(sorted(parts)),
+    }
+
+
+def pooled(processes: Sequence[Numbers], tolerance: float, own_times: Sequence[str]) -> Numbers:
     """Their mean, with an interval that says how another process would differ.
 
     A record that was the same in all, or is in the first alone, stays as it is; others have the
     geometric mean and Student's t over the logs of the values (over the values themselves where
-    they are not all positive). Arrays are joined one after another; ``sitting`` [sittings, records]
-    has the values that were pooled, nan where a sitting has none.
-    ``disturbed`` is 1 where an interval of a ratio to the baseline, or for the baseline of one of
-    ``own_times``, is wider than ``tolerance``.
-
-    An outcome that is not a success stands for all.
+    they are not all positive). ``disturbed`` is 1 where an interval of a ratio to the baseline, or
+    for the baseline of one of ``own_times``, is wider than ``tolerance``.
     """
-    for outcome in outcomes:
-        if outcome.status != "ok":
-            return outcome
-    first = [r for r in outcomes[0].records if r.metric != _DISTURBED]
-    found = [{r.metric: r.value for r in outcome.records} for outcome in outcomes]
+    first = [r for r in processes[0].records if r.metric != DISTURBED]
+    found = [{r.metric: r.value for r in numbers.records} for numbers in processes]
     columns = [[one[r.metric] for one in found if r.metric in one] for r in first]
     records = [_pooled(r, np.array(column)) for r, column in zip(first, columns, strict=True)]
-    values = np.array([[one.get(r.metric, np.nan) for r in first] for one in found])
     wide = [
         f"{r.metric} {(r.ci_high - r.ci_low) / r.value:.0%}"
         for r in _decisive(records, own_times)
         if not r.ci_high - r.ci_low <= tolerance * r.value
     ]
-    reasons = [outcome.reason for outcome in outcomes if outcome.reason and not disturbed(outcome)]
+    reasons = [one.reason for one in processes if one.reason and not disturbed(one)]
     if wide:
-        many = f"over {len(outcomes)} sittings"
+        many = f"over {len(processes)} processes"
         reasons.append(f"disturbed: interval wider than {tolerance:.0%} {many}: {', '.join(wide)}")
-    return Outcome(
-        reason="; ".join(dict.fromkeys(reasons)),
-        records=[*records, Record(_DISTURBED, float(bool(wide)), unit="1")],
-        arrays={
-            **{k: _joined(k, outcomes) for k in outcomes[0].arrays},
-            "sitting": values,
-        },
-    )
+    records.append(Record(DISTURBED, float(bool(wide)), unit="1"))
+    return Numbers(records, "; ".join(dict.fromkeys(reasons)))
 
 
-def _pooled(record: Record, values: np.ndarray) -> Record:
+def disturbed(numbers: Numbers) -> bool:
+    """Whether one of the intervals that count stayed wider than the tolerance."""
+    return any(r.metric == DISTURBED and r.value for r in numbers.records)
+
+
+def _split(named: Mapping[str, Any]) -> dict[int, dict[str, Any]]:
+    found: dict[int, dict[str, Any]] = {}
+    for key, value in named.items():
+        if match := _PREFIX.fullmatch(key):
+            found.setdefault(int(match[1]), {})[match[2]] = value
+    return found
+
+
+def _pooled(record: Record, values: NDArray) -> Record:
     if (values == values[0]).all():
         return record
     interval = geometric_mean(values) if (values > 0).all() else mean_interval(values)
     return Record(record.metric, *interval, record.unit)
-
-
-def _joined(name: str, outcomes: Sequence[Outcome]) -> np.ndarray:
-    return np.concatenate([np.atleast_1d(o.arrays[name]) for o in outcomes if name in o.arrays])
 
 
 def _decisive(records: Sequence[Record], own_times: Sequence[str]) -> list[Record]:
@@ -70,8 +102,3 @@ def _decisive(records: Sequence[Record], own_times: Sequence[str]) -> list[Recor
     if compared or not ratios:
         return compared
     return [r for r in records if r.metric in own_times]
-
-
-def disturbed(outcome: Outcome) -> bool:
-    """Whether an outcome says that it is."""
-    return any(r.metric == _DISTURBED and r.value for r in outcome.records)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -107,7 +106,6 @@ def _job(name: str, method, material: Material, budget: Budget, rounds: int) -> 
         generator=torch.Generator().manual_seed(1),
         settings={"rounds": rounds},
         budget=budget,
-        out_dir=Path(),
         make=lambda: registry.make(name),
     )
 

@@ -19,7 +19,7 @@ class BadAdapter(Exception):
     """An adapter's answer that no measure could use; names the method and what was wrong."""
 
 
-def guard(method: Method, material: Material, generator: torch.Generator, device: str) -> None:
+def smoke_test(method: Method, material: Material, generator: torch.Generator, device: str) -> None:
     """Raise :class:`BadAdapter` unless ``sample`` and ``pdf`` give tensors of the right kind.
 
     A few rows only: shapes, types, finite and non-negative densities. Whether the numbers

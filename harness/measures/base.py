@@ -1,20 +1,21 @@
 """What a measure is: jobs in, outcomes out.
 
-A measure takes fitted methods and returns numbers. It knows nothing of suites, hashes or
-files; the runner gives it jobs and stores what comes back. One measure is one file of this
-folder, with one class whose ``name`` is the measure's name.
+A measure takes fitted methods and returns raw data. It knows nothing of suites, hashes or
+files; the runner gives it jobs, stores what comes back, and has the records made of it by
+:mod:`harness.analysis.records`. One measure is one file of this folder, with one class whose
+``name`` is the measure's name.
 """
 
 from __future__ import annotations
 
-import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 from pydantic import BaseModel, ConfigDict
+
+from harness.core.record import Record
 
 if TYPE_CHECKING:
     import numpy as np
@@ -28,33 +29,25 @@ FAILED = ("error", "timeout", "nonfinite")
 """Statuses that make a run end with exit status 1."""
 
 
-@dataclass(frozen=True)
-class Record:
-    """One measured number, its unit and its interval (nan bounds where there is none)."""
-
-    metric: str
-    value: float
-    ci_low: float = math.nan
-    ci_high: float = math.nan
-    unit: str = ""
-
-
 @dataclass
 class Outcome:
-    """What one job gave. ``Outcome(records=[...])`` is a success.
+    """What one job gave. ``Outcome(arrays={...})`` is a success.
 
-    ``arrays`` are raw outputs (per-batch moments, every timing sample), stored compressed;
+    ``arrays`` are raw outputs from which all records can be made (moments of every batch, every
+    timing sample), stored compressed; ``documents`` the same as JSON, for what is no array.
     ``images`` [H, W, 3] are stored as EXR in half precision; ``tensors`` are the state of a
-    fitted method, None where there is none to store.
+    fitted method, None where there is none to store. ``records`` are of a measure that has no
+    file in :mod:`harness.analysis.records` and gives its numbers itself.
     """
 
     status: Status = "ok"
     reason: str = ""
-    records: list[Record] = field(default_factory=list)
     arrays: dict[str, np.ndarray] = field(default_factory=dict)
     images: dict[str, np.ndarray] = field(default_factory=dict)
     tensors: dict[str, torch.Tensor] | None = None
+    documents: dict[str, Any] = field(default_factory=dict)
     traceback: str = ""
+    records: list[Record] = field(default_factory=list)
 
 
 @dataclass
@@ -64,8 +57,7 @@ class Job:
     ``method`` is fitted to ``material`` and restored from its stored state, except for the
     measure ``fit``, which gets it fresh. ``make()`` constructs another, unfitted one. ``seed``
     is the trial's; ``generator`` is seeded from it and from the measure's name alone, so that
-    all methods see the same random conditions. Files written to ``out_dir`` become part of the
-    trial's folder. ``baseline`` marks the suite's reference method.
+    all methods see the same random conditions. ``baseline`` marks the suite's reference method.
     ``fit_records`` are the numbers that the method's fit recorded, by metric.
     """
 
@@ -77,7 +69,6 @@ class Job:
     generator: torch.Generator
     settings: dict[str, Any]
     budget: Budget
-    out_dir: Path
     make: Callable[[], Method]
     baseline: bool = False
     fit_records: dict[str, float] = field(default_factory=dict)
@@ -90,7 +81,7 @@ class Settings(BaseModel):
 
 
 class Measure(ABC):
-    """One way to put a number on a fitted method.
+    """One way to measure a fitted method.
 
     ``timed``: the number depends on the clock. :meth:`run` then gets the methods of one
     (material, scene, seed) together, always with the baseline, so that it can interleave
@@ -107,8 +98,6 @@ class Measure(ABC):
     """Whether the trial's hash covers the machine; by default whether it is ``timed``."""
 
     Settings: ClassVar[type[Settings]] = Settings
-    own_times: ClassVar[tuple[str, ...]] = ()
-    """Metrics that say how well the baseline was timed, whose ratios are 1 by definition."""
 
     @classmethod
     def on_machine(cls) -> bool:
@@ -116,8 +105,8 @@ class Measure(ABC):
         return cls.timed if cls.machine_bound is None else cls.machine_bound
 
     @classmethod
-    def later_sittings(cls, first: Outcome) -> dict[str, Any]:
-        """Settings that a job's later sittings have instead, after what its ``first`` found.
+    def later_processes(cls, first: Outcome) -> dict[str, Any]:
+        """Settings of a job in the processes that repeat it, after what the ``first`` found.
 
         Sizes that were chosen by the clock are to be the same in all, and what need not be
         known so often is left out. By default none.

@@ -9,7 +9,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy import stats
 
-from harness.measures.base import Job, Measure, Outcome, Record
+from harness.core.record import Record
+from harness.measures.base import Job, Measure, Outcome
 from harness.measures.base import Settings as BaseSettings
 from harness.measures.images import checked, reference, too_slow
 from harness.rendering.prepared import prepare

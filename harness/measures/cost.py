@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from harness.core.protocol.errors import BudgetExceeded
+from harness.core.record import Record
 from harness.measures.adapter_smoke_test import state_of
-from harness.measures.base import Job, Measure, Outcome, Record
+from harness.measures.base import Job, Measure, Outcome
 from harness.measures.cold_start import Cold, start_cold
 from harness.measures.images import checked, too_slow
 from harness.measures.renders import Entrant, RenderSettings, enter

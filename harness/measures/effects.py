@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from harness.core.protocol.errors import BudgetExceeded
+from harness.core.record import Record
 from harness.effects.offer import offer
 from harness.effects.variants import explicit, lit, name_of, with_one_more, without
-from harness.measures.base import Job, Measure, Outcome, Record
+from harness.measures.base import Job, Measure, Outcome
 from harness.measures.flip import exposures, flip
 from harness.measures.images import checked, too_slow
 from harness.measures.renders import RenderSettings

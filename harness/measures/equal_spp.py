@@ -7,7 +7,8 @@ from collections.abc import Callable
 import numpy as np
 
 from harness.core.protocol.errors import BudgetExceeded
-from harness.measures.base import Job, Measure, Outcome, Record
+from harness.core.record import Record
+from harness.measures.base import Job, Measure, Outcome
 from harness.measures.base import Settings as BaseSettings
 from harness.measures.batches import LEAST, LEAST_SPP, Batches, render_batches
 from harness.measures.images import reference, too_slow

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from harness.core.protocol.errors import BudgetExceeded
-from harness.measures.base import Job, Measure, Outcome, Record
+from harness.core.record import Record
+from harness.measures.base import Job, Measure, Outcome
 from harness.measures.deadline_render import Runner, race
 from harness.measures.images import checked, too_slow
 from harness.measures.renders import Entrant, RenderSettings, enter

@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 
+import numpy as np
 import torch
 
 from harness.core.protocol.errors import Unsupported
 from harness.core.protocol.material import Material
 from harness.core.protocol.method import FitReport, Method
-from harness.measures.adapter_smoke_test import BadAdapter, guard, state_of
-from harness.measures.base import Job, Measure, Outcome, Record
+from harness.measures.adapter_smoke_test import BadAdapter, smoke_test, state_of
+from harness.measures.base import Job, Measure, Outcome
+from harness.measures.compact import single
 from harness.measures.timing import now
-from harness.stats.intervals import Interval, mean_interval
 
 
 class Fit(Measure):
@@ -57,34 +57,21 @@ class Fit(Measure):
         with torch.inference_mode():
             loaded.sample(condition, torch.rand(1, 3, generator=job.generator).to(device))
         load_seconds = now(device) - start
-        guard(loaded, material, job.generator, device)
-        records = [
-            Record("fit-seconds", *_steady(fit_seconds, report.part_seconds), "s"),
-            Record("data-seconds", report.data_seconds, unit="s"),
-            Record("optimise-seconds", *_steady(report.optimise_seconds, report.part_seconds), "s"),
-            Record("load-seconds", load_seconds, unit="s"),
-            Record("parameters", report.parameters, unit="1"),
-            Record("size-bytes", method.size_bytes(), unit="B"),
-        ]
-        if report.bake_seconds:
-            records.append(Record("bake-seconds", report.bake_seconds, unit="s"))
-        if report.loss:
-            records.append(Record("final-loss", report.loss[-1], unit="1"))
-        arrays = {
-            name: torch.tensor(values).numpy()
-            for name, values in (("loss", report.loss), ("part_seconds", report.part_seconds))
-            if values
+        smoke_test(loaded, material, job.generator, device)
+        found = {
+            "fit_seconds": fit_seconds,
+            "data_seconds": report.data_seconds,
+            "optimise_seconds": report.optimise_seconds,
+            "bake_seconds": report.bake_seconds,
+            "load_seconds": load_seconds,
+            "parameters": report.parameters,
+            "size_bytes": method.size_bytes(),
         }
-        return Outcome(records=records, arrays=arrays, tensors=state)
-
-
-def _steady(total: float, parts: list[float]) -> Interval:
-    """``total`` seconds, and how far the sum of ``parts`` of it is sure."""
-    if len(parts) < 2:
-        return Interval(total, math.nan, math.nan)
-    mean = mean_interval(parts)
-    low, high = (len(parts) * (end - mean.value) for end in (mean.low, mean.high))
-    return Interval(total, total + low, total + high)
+        arrays = {name: np.array(float(value)) for name, value in found.items()}
+        for name, values in (("loss", report.loss), ("part_seconds", report.part_seconds)):
+            if values:
+                arrays[name] = single(values)
+        return Outcome(arrays=arrays, tensors=state)
 
 
 def restore(method: Method, material: Material, state: dict[str, torch.Tensor]) -> Method:

@@ -16,8 +16,9 @@ from pydantic import Field
 from harness.core.protocol.disk import square_to_disk
 from harness.core.protocol.errors import BudgetExceeded
 from harness.core.protocol.material import Material
+from harness.core.record import Record
 from harness.geometry.shapes import sphere_mesh
-from harness.measures.base import Job, Measure, Outcome, Record
+from harness.measures.base import Job, Measure, Outcome
 from harness.measures.base import Settings as BaseSettings
 from harness.measures.batches import LEAST, LEAST_SPP, Batches, render_batches
 from harness.measures.images import reference, too_slow

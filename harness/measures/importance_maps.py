@@ -10,11 +10,12 @@ import torch
 from pydantic import Field
 
 from harness.core.protocol.errors import Unsupported
+from harness.core.record import Record
 from harness.importance_maps.maps import ImportanceMap, make_map
 from harness.importance_maps.quality import binned_error, coarse, gradients, histogram, stratified
 from harness.importance_maps.slices import Slice, slices_of
 from harness.importance_maps.transport import grid
-from harness.measures.base import Job, Measure, Outcome, Record
+from harness.measures.base import Job, Measure, Outcome
 from harness.measures.base import Settings as BaseSettings
 from harness.stats.chisquare import chi_square
 from harness.stats.intervals import mean_interval

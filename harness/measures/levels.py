@@ -12,8 +12,9 @@ from skimage.metrics import structural_similarity
 
 from harness.core.protocol.disk import square_to_disk
 from harness.core.protocol.errors import Unsupported
+from harness.core.record import Record
 from harness.materials.neural.material import NeuralMaterial
-from harness.measures.base import Job, Measure, Outcome, Record
+from harness.measures.base import Job, Measure, Outcome
 from harness.measures.base import Settings as BaseSettings
 from harness.measures.flip import exposures, flip
 from harness.microgeometry import descriptions, preview, queries

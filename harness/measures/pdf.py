@@ -9,8 +9,9 @@ import numpy as np
 import torch
 
 from harness.core.protocol.disk import inside_disk, square_to_disk
+from harness.core.record import Record
 from harness.fitting.targets import cells
-from harness.measures.base import Job, Measure, Outcome, Record
+from harness.measures.base import Job, Measure, Outcome
 from harness.measures.base import Settings as BaseSettings
 from harness.stats import divergence
 from harness.stats.intervals import mean_interval

@@ -15,8 +15,9 @@ from torch import Tensor
 from harness.core.protocol.disk import luminance
 from harness.core.protocol.material import Material
 from harness.core.protocol.method import Method
+from harness.core.record import Record
 from harness.materials.families.walks import WalkFamily
-from harness.measures.base import Job, Measure, Outcome, Record
+from harness.measures.base import Job, Measure, Outcome
 from harness.measures.base import Settings as BaseSettings
 from harness.stats.intervals import mean_interval, median_interval
 

@@ -9,9 +9,9 @@ import numpy as np
 import torch
 
 from harness.core.protocol.disk import inside_disk
-from harness.measures.base import Job, Measure, Outcome, Record
+from harness.measures.base import Job, Measure, Outcome
 from harness.measures.base import Settings as BaseSettings
-from harness.stats.divergence import kl_divergence, mean_squared_error
+from harness.measures.compact import single
 
 
 class Slices(Measure):
@@ -47,17 +47,10 @@ class Slices(Measure):
         value = job.material.target_grid(condition, wo[None]).double()
         target = (value / (value.sum(1, keepdim=True) * area)).cpu().numpy()
         pdf = job.method.pdf(rows, points).view(shape).double().cpu().numpy()
-        kl = kl_divergence(target, pdf, area * len(wo))
         column = ((wo + 1) * (n / 2)).long().cpu().numpy()
-        arrays = {
-            "kl": kl,
-            "mse": mean_squared_error(target, pdf),
-            "condition": condition.cpu().numpy(),
-        }
+        arrays = {"condition": condition.cpu().numpy()}
         for name, density in (("target", target), ("pdf", pdf)):
-            # Single precision is plenty for a picture.
-            image = np.full((settings.count, n, n), math.nan, np.float32)
+            image = np.full((settings.count, n, n), math.nan)
             image[:, column[:, 1], column[:, 0]] = density
-            arrays[name] = image
-        records = [Record("kl-mean", float(kl.mean()), unit="nats")]
-        return Outcome(records=records, arrays=arrays)
+            arrays[name] = single(image)
+        return Outcome(arrays=arrays)

@@ -15,7 +15,8 @@ from harness.checks.finding import Finding, verdict
 from harness.checks.run import CASE_ALARM, run_case
 from harness.core.jsonfile import write_json
 from harness.core.protocol.errors import Unsupported, nearest
-from harness.measures.base import Job, Measure, Outcome, Record
+from harness.core.record import Record
+from harness.measures.base import Job, Measure, Outcome
 from harness.measures.base import Settings as BaseSettings
 
 FINDINGS = "findings.json"

@@ -8,8 +8,9 @@ import numpy as np
 
 from harness.bench import neural as bench
 from harness.core.protocol.errors import Unsupported
+from harness.core.record import Record
 from harness.materials.neural.material import NeuralMaterial
-from harness.measures.base import Job, Measure, Outcome, Record
+from harness.measures.base import Job, Measure, Outcome
 from harness.measures.base import Settings as BaseSettings
 from harness.stats.intervals import median_interval
 

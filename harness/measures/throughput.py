@@ -10,7 +10,8 @@ from typing import Annotated, Any, ClassVar
 import torch
 from pydantic import Field
 
-from harness.measures.base import Job, Measure, Outcome, Record
+from harness.core.record import Record
+from harness.measures.base import Job, Measure, Outcome
 from harness.measures.timing import (
     Contender,
     RoundSettings,

@@ -11,7 +11,8 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from harness.measures.base import Record, Settings
+from harness.core.record import Record
+from harness.measures.base import Settings
 from harness.stats.intervals import Interval, median_interval, ratio_of_medians
 
 

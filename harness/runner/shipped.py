@@ -14,10 +14,11 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
+from harness.analysis.records.fit import raw_of
 from harness.core.paths import ROOT
 from harness.core.protocol.errors import InputError
 from harness.identity.verdict import ADAPTER, MATERIAL, MEASURE, TRAINING, VERSIONS
-from harness.measures.base import Outcome, Record
+from harness.measures.base import Outcome
 from harness.store.stored import Stored
 from harness.suite.trials import FIT, Trial, hash_of
 
@@ -69,12 +70,12 @@ def load(path: Path) -> tuple[Outcome, dict[str, Any]]:
         if metadata.get("format") != FORMAT:
             raise ValueError(f"format is {metadata.get('format')!r}")
         about = json.loads(metadata["record"])
-        records = [Record(**record) for record in about.pop("records")]
+        values = {record["metric"]: record["value"] for record in about.pop("records")}
     except (OSError, SafetensorError, ValueError, KeyError, TypeError) as error:
         raise InputError(f"{path}: not a fitted sampler: {error}; --refit does without") from None
     arrays = {n.removeprefix(_ARRAY): t.numpy() for n, t in tensors.items() if n.startswith(_ARRAY)}
     state = {n.removeprefix(_STATE): t for n, t in tensors.items() if n.startswith(_STATE)}
-    return Outcome(records=records, arrays=arrays, tensors=state), about
+    return Outcome(arrays={**raw_of(values), **arrays}, tensors=state), about
 
 
 def still(kept: Mapping[str, str], current: Mapping[str, str]) -> bool:

@@ -14,15 +14,12 @@ from typing import Any
 import numpy as np
 import torch
 
-from harness.analysis.records import registry as analysis
 from harness.core import machine, registry
 from harness.core.protocol.errors import BudgetExceeded, InputError, Unsupported
-from harness.core.record import Raw
 from harness.measures import registry as measures
 from harness.measures.adapter_smoke_test import BadAdapter
 from harness.measures.base import Job, Outcome
-from harness.runner import process_repeats as sittings
-from harness.runner import shipped
+from harness.runner import process_repeats, shipped
 from harness.runner.jobs import Jobs
 from harness.runner.machine_lock import machine as machine_held
 from harness.runner.progress import Progress
@@ -70,6 +67,7 @@ class Worker:
         outcome, about = shipped.load(path)
         if not shipped.still(about["parts"], self.validity.parts(trial)):
             return False  # it was trained by other code
+        self._number(trial, outcome)
         self._save(
             trial, outcome, about["started"], about["seconds"], about["environment"], path.name
         )
@@ -141,15 +139,22 @@ class Worker:
 
     def _checked_run(self, measure: Any, jobs: list[Job]) -> list[Outcome]:
         first = jobs[0].trial
-        if sittings.count(measure, first)[1] > 1:
+        if process_repeats.count(measure, first)[1] > 1:
             trials = [job.trial for job in jobs]
-            outcomes = sittings.run(measure, trials, self.jobs, self.progress.note)
+            outcomes = process_repeats.run(measure, trials, self.jobs, self.progress.note)
         else:
             torch.manual_seed(stream_seed(first.measure, first.seed))
             outcomes = measure.run(jobs, self.progress.note)
         if len(outcomes) != len(jobs):
             raise RuntimeError(f"{measure.name}: {len(outcomes)} outcomes for {len(jobs)} jobs")
+        for job, outcome in zip(jobs, outcomes, strict=True):
+            self._number(job.trial, outcome)
         return [finished(outcome) for outcome in outcomes]
+
+    @staticmethod
+    def _number(trial: Trial, outcome: Outcome) -> None:
+        made = process_repeats.numbers_of(trial.measure, trial.settings, outcome)
+        outcome.records, outcome.reason = made.records, made.reason
 
     def _separately(self, measure: Any, jobs: list[Job], failed: Outcome) -> list[Outcome]:
         """After one of several has failed: each alone with the baseline, to find out which."""
@@ -176,8 +181,6 @@ class Worker:
         environment: dict[str, Any] | None = None,
         origin: str = "",
     ) -> None:
-        if not origin:
-            outcome = analysed(trial, outcome)
         about = Stored(
             hash=trial.hash,
             trial=trial.identity,
@@ -192,7 +195,7 @@ class Worker:
             effects=self.jobs.choices.get(trial.hash, {}),
             parts=self.validity.parts(trial),
             entries=self.validity.entries(trial),
-            analysis="" if origin else self.validity.analysis(trial.measure),
+            analysis=self.validity.analysis(trial.measure),
         )
         try:
             stored = write.save(self.results, about, outcome)
@@ -207,18 +210,6 @@ class Worker:
         self.stored[trial.hash] = stored
         # What came ready says nothing about the time that is left.
         self.progress.finish(trial, outcome, 0.0 if origin else seconds)
-
-
-def analysed(trial: Trial, outcome: Outcome) -> Outcome:
-    """``outcome`` with the records that the analysis makes of its raw outputs."""
-    if outcome.status != "ok":
-        return outcome
-    raw = Raw(outcome.arrays, outcome.documents, trial.settings)
-    numbers = analysis.numbers(trial.measure, raw)
-    if numbers is None:
-        return outcome
-    reasons = filter(None, (outcome.reason, numbers.reason))
-    return finished(replace(outcome, records=numbers.records, reason="; ".join(reasons)))
 
 
 def finished(outcome: Outcome) -> Outcome:

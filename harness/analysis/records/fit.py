@@ -1,0 +1,49 @@
+"""Seconds of fitting and of loading, and the size of what was fitted."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from harness.core.record import Numbers, Raw, Record
+from harness.stats.intervals import Interval, mean_interval
+
+_SINGLE = (
+    "fit-seconds data-seconds optimise-seconds bake-seconds load-seconds parameters size-bytes"
+).split()
+"""Metrics that are a single stored number each."""
+
+
+def numbers(raw: Raw) -> Numbers:
+    """See :class:`harness.measures.fit.Fit`."""
+    parts = raw.arrays.get("part_seconds", np.empty(0))
+    records = [
+        Record("fit-seconds", *_steady(raw.value("fit_seconds"), parts), "s"),
+        Record("data-seconds", raw.value("data_seconds"), unit="s"),
+        Record("optimise-seconds", *_steady(raw.value("optimise_seconds"), parts), "s"),
+        Record("load-seconds", raw.value("load_seconds"), unit="s"),
+        Record("parameters", raw.value("parameters"), unit="1"),
+        Record("size-bytes", raw.value("size_bytes"), unit="B"),
+    ]
+    if bake := raw.value("bake_seconds"):
+        records.append(Record("bake-seconds", bake, unit="s"))
+    if "loss" in raw.arrays:
+        records.append(Record("final-loss", float(raw.arrays["loss"][-1]), unit="1"))
+    return Numbers(records)
+
+
+def raw_of(values: Mapping[str, float]) -> dict[str, NDArray]:
+    """The raw arrays of a fit of which only the records' ``values`` were kept, by metric."""
+    return {name.replace("-", "_"): np.array(float(values.get(name, 0))) for name in _SINGLE}
+
+
+def _steady(total: float, parts: NDArray) -> Interval:
+    """``total`` seconds, and how far the sum of ``parts`` [P] of it is sure."""
+    if len(parts) < 2:
+        return Interval(total, math.nan, math.nan)
+    mean = mean_interval(parts)
+    low, high = (len(parts) * (end - mean.value) for end in (mean.low, mean.high))
+    return Interval(total, total + low, total + high)
