@@ -35,7 +35,7 @@ def save(results: ResultsFolder, trial: Stored, outcome: Any) -> Stored:
         for name, image in outcome.images.items():
             if not _NAME.fullmatch(name):
                 raise ValueError(f"not a name for an image: {name!r}")
-            kept[f"{name}.exr"] = files.keep(results.folder, ".exr", _image(image))
+            kept[f"{name}.exr"] = files.keep(results.folder, f"{name}.exr", _image(image))
         if outcome.tensors is not None:
             kept[STATE] = files.keep(results.folder, STATE, _tensors(outcome.tensors))
     except OSError as error:
