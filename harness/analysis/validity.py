@@ -7,7 +7,15 @@ from collections.abc import Mapping
 from harness.identity.digests import Digests, Part
 from harness.identity.ours import digests
 from harness.identity.tree import BESIDE
-from harness.identity.verdict import ADAPTER, BASELINE, SOURCES, TRAINING, judge
+from harness.identity.verdict import (
+    ADAPTER,
+    BASELINE,
+    SOURCES,
+    TRAINING,
+    changed_units,
+    judge,
+    short,
+)
 from harness.store.folder import ResultsFolder
 from harness.store.stored import Stored
 
@@ -19,7 +27,13 @@ def stale(results: ResultsFolder, trials: Mapping[str, Stored]) -> dict[str, str
     adapter or measure, which is not part of the project, is compared by a run alone.
     """
     known, equal = digests(), results.equivalents()
-    now = {key: _current(known, trial) for key, trial in trials.items()}
+    units: dict[str, Mapping[str, str]] = {}
+    now = {key: _current(known, trial, units) for key, trial in trials.items()}
+
+    def details(part: str, old: str, new: str) -> list[str]:
+        before, after = results.units(old), units.get(new)
+        return changed_units(before, short(after)) if before and after else []
+
     adapters = {
         trial.parts[ADAPTER]: now[key][ADAPTER]
         for key, trial in trials.items()
@@ -30,13 +44,13 @@ def stale(results: ResultsFolder, trials: Mapping[str, Stored]) -> dict[str, str
         base = trial.parts.get(BASELINE, "")
         current = now[key] | ({BASELINE: adapters[base]} if base in adapters else {})
         before = {part: digest for part, digest in trial.parts.items() if part in current}
-        verdict = judge(before, current, lambda *change: change in equal)
+        verdict = judge(before, current, lambda *change: change in equal, details)
         if trial.status == "ok" and not verdict.stands:
             found[key] = verdict.sentence
     return found
 
 
-def _current(known: Digests, trial: Stored) -> dict[str, str]:
+def _current(known: Digests, trial: Stored, units: dict[str, Mapping[str, str]]) -> dict[str, str]:
     """Digests of the trial's parts that are source code of the project."""
     parts = {name: Part(*map(tuple, about)) for name, about in trial.entries.items()}
     if any(entry.startswith(BESIDE) for part in parts.values() for entry in part.entries):
@@ -47,4 +61,5 @@ def _current(known: Digests, trial: Stored) -> dict[str, str]:
     except KeyError:
         # What it began with is gone; no digest equals that of nothing.
         return dict.fromkeys((part for part in SOURCES if part in trial.parts), "")
+    units.update({source.digest: source.units for source in found.values()})
     return {name: source.digest for name, source in found.items()}

@@ -10,7 +10,7 @@ from typing import Annotated
 import typer
 
 VERBS = (
-    *("run", "report", "compare", "advise"),
+    *("run", "report", "status", "compare", "advise"),
     *("list", "check", "validate", "new", "doctor", "bench", "effects"),
     *("fit", "material", "bake"),
 )

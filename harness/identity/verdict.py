@@ -32,6 +32,7 @@ WORDS = {
     BASELINE: "the baseline",
     BASELINE_STATE: "the baseline's fitted state",
 }
+SHORT = 8
 _SHOWN = 3
 
 
@@ -103,6 +104,11 @@ def _shown(
         return f"{words} changed"
     more = f" and {len(found) - _SHOWN} more" if len(found) > _SHOWN else ""
     return f"{words} changed ({', '.join(found[:_SHOWN])}{more})"
+
+
+def short(units: Mapping[str, str]) -> dict[str, str]:
+    """Hashes as they are stored, shortened: they only have to tell two versions apart."""
+    return {unit: value[:SHORT] for unit, value in units.items()}
 
 
 def changed_units(old: Mapping[str, str], new: Mapping[str, str]) -> list[str]:

@@ -24,7 +24,7 @@ from harness.store.database import is_ours
 from harness.store.folder import ResultsFolder
 from harness.store.lock import locked
 from harness.store.mend import mend
-from harness.store.stored import DAMAGED, Stored
+from harness.store.stored import DAMAGED
 from harness.suite.plan import Plan
 from harness.suite.trials import FIT, Trial
 
@@ -49,14 +49,19 @@ def run(plan: Plan, results: Path, options: Options, console: Console) -> int:
     only = only_option.parse(options.only, plan)
     preflight.check_report(plan)
     if options.dry_run:
-        stored = _stored(plan, results) if is_ours(results) else {}
-        _list(plan, _todo(plan, stored, only, options), console)
+        if is_ours(results):
+            with ResultsFolder(results) as store:
+                todo = _todo(plan, store, only, options)
+        else:
+            todo = make_todo(plan, {}, Validity(plan, {}), only)
+        _list(plan, todo, console)
+        _explain(todo, console)
         return 0
     with locked(results):
         mend(results, lambda text: _say(console, text, "yellow"))
         with ResultsFolder(results, write=True) as store:
             renew(store)
-            todo = _todo(plan, _stored(plan, results), only, options)
+            todo = _todo(plan, store, only, options)
             preflight.check_trials(plan, todo.trials)
             _write_plan(plan, store)
             _say(console, f"{results}: {_counted(todo)}")
@@ -83,16 +88,12 @@ def run(plan: Plan, results: Path, options: Options, console: Console) -> int:
     return _sum_up(todo, console)
 
 
-def _todo(plan: Plan, stored: dict[str, Stored], only: Only, options: Options) -> Todo:
-    validity = Validity(plan, stored)
+def _todo(plan: Plan, store: ResultsFolder, only: Only, options: Options) -> Todo:
+    """The plan, less what is stored whole and still holds."""
+    found = store.trials({trial.hash for trial in plan.trials})
+    stored = {key: trial for key, trial in found.items() if trial.status != DAMAGED}
+    validity = Validity(plan, stored, store.units)
     return make_todo(plan, stored, validity, only, options.retry_failed, options.refit)
-
-
-def _stored(plan: Plan, results: Path) -> dict[str, Stored]:
-    """The planned trials that are stored whole, by key."""
-    with ResultsFolder(results) as store:
-        found = store.trials({trial.hash for trial in plan.trials})
-    return {key: trial for key, trial in found.items() if trial.status != DAMAGED}
 
 
 def _write_plan(plan: Plan, store: ResultsFolder) -> None:
@@ -160,7 +161,7 @@ def _sum_up(todo: Todo, console: Console) -> int:
     if failed:
         _say(
             console,
-            "harness status shows the traceback of a failed trial; "
+            "harness status --failed shows the traceback of a failed trial; "
             "--retry failed runs the failed ones again.",
         )
     return 1 if failed else 0

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 from harness.analysis.renew import analysis_digest
@@ -17,7 +17,9 @@ from harness.identity.verdict import (
     SCENE,
     VERSIONS,
     Verdict,
+    changed_units,
     judge,
+    short,
 )
 from harness.identity.verdict import FIT as STATE_PART
 from harness.measures import registry as measures
@@ -30,8 +32,13 @@ from harness.suite.trials import FIT, Trial
 class Validity:
     """Digests of the parts of a plan's trials. ``stored`` may grow: fitted states are in it."""
 
-    def __init__(self, plan: Plan, stored: Mapping[str, Stored]):
-        self.plan, self.stored = plan, stored
+    def __init__(
+        self,
+        plan: Plan,
+        stored: Mapping[str, Stored],
+        units: Callable[[str], Mapping[str, str]] = lambda digest: {},
+    ):
+        self.plan, self.stored, self.units = plan, stored, units
         self.known = digests()
         self._parts: dict[tuple, dict[str, Part]] = {}
         self._analyses: dict[str, str] = {}
@@ -69,7 +76,13 @@ class Validity:
 
     def verdict(self, trial: Trial) -> Verdict:
         """Of the stored trial, which is there."""
-        return judge(self.stored[trial.hash].parts, self.parts(trial))
+        sources = {s.digest: s.units for s in self.sources(trial).values()}
+
+        def details(part: str, old: str, new: str) -> list[str]:
+            before, after = self.units(old), sources.get(new)
+            return changed_units(before, short(after)) if before and after else []
+
+        return judge(self.stored[trial.hash].parts, self.parts(trial), details=details)
 
     def stands(self, trial: Trial) -> bool:
         """Whether a trial is stored and its numbers are current."""

@@ -16,6 +16,7 @@ import torch
 
 from harness.core import machine, registry
 from harness.core.protocol.errors import BudgetExceeded, InputError, Unsupported
+from harness.identity.verdict import short
 from harness.measures import registry as measures
 from harness.measures.adapter_smoke_test import BadAdapter
 from harness.measures.base import Job, Outcome
@@ -207,6 +208,9 @@ class Worker:
             )
             about = replace(about, status=outcome.status, reason=outcome.reason)
             stored = write.save(self.results, about, outcome)
+        self.results.note_units(
+            {s.digest: short(s.units) for s in self.validity.sources(trial).values()}
+        )
         self.stored[trial.hash] = stored
         # What came ready says nothing about the time that is left.
         self.progress.finish(trial, outcome, 0.0 if origin else seconds)

@@ -40,6 +40,7 @@ CREATE TABLE array (
 CREATE TABLE blob (digest TEXT PRIMARY KEY, body BLOB NOT NULL);
 CREATE TABLE damaged (
     trial TEXT NOT NULL, noticed TEXT NOT NULL, reason TEXT NOT NULL, body BLOB);
+CREATE TABLE units (digest TEXT PRIMARY KEY, body BLOB NOT NULL) WITHOUT ROWID;
 CREATE TABLE equivalent (
     part TEXT NOT NULL, old TEXT NOT NULL, new TEXT NOT NULL, context TEXT NOT NULL,
     PRIMARY KEY (part, old, new, context)) WITHOUT ROWID;

@@ -152,6 +152,14 @@ class ResultsFolder:
                 "INSERT OR REPLACE INTO equivalent VALUES (?, ?, ?, ?)", part, old, new, context
             )
 
+    def note_units(self, sources: Mapping[str, Mapping[str, str]]) -> None:
+        """Remember what the digests of source code are made of: hashes by unit, by digest."""
+        with explained(self.folder):
+            known = {key for (key,) in self._run("SELECT digest FROM units")}
+            for key in sources.keys() - known:
+                body = pack(json_bytes(sources[key]))
+                self._run("INSERT OR IGNORE INTO units VALUES (?, ?)", key, body)
+
     # --- reading -------------------------------------------------------------------------------
 
     def plan(self) -> dict[str, Any]:
@@ -196,6 +204,12 @@ class ResultsFolder:
         """``(part, old digest, new digest)`` between which no number changed."""
         with explained(self.folder):
             return set(self._run("SELECT part, old, new FROM equivalent"))
+
+    def units(self, key: str) -> dict[str, str]:
+        """Hashes by unit of a digest of source code; empty if it is not known."""
+        with explained(self.folder):
+            row = self._run("SELECT body FROM units WHERE digest = ?", key).fetchone()
+        return _json(unpack(row[0])) if row else {}
 
     def arrays(self, key: str) -> dict[str, np.ndarray]:
         """The raw arrays of a trial.

@@ -1,0 +1,82 @@
+"""What of a results folder is valid, stale, missing, failed or of another machine."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from harness.analysis.results import Results
+from harness.core import machine
+from harness.store.database import FILE
+from harness.store.frame import STALE
+from harness.store.stored import Stored
+
+FAILED = ("error", "timeout", "nonfinite")
+_KINDS = ("valid", "stale", "missing", "failed", "unsupported", "skipped")
+
+
+@dataclass
+class Status:
+    """Planned trials of one suite by what can be said of them.
+
+    ``counts`` by ``valid``, ``stale``, ``missing``, ``failed``, ``unsupported``, ``skipped``;
+    ``elsewhere`` are valid timings that were taken on another machine; ``reasons`` counts why
+    trials are stale or failed; ``failed`` has the failed ones.
+    """
+
+    folder: Path
+    suite: str
+    counts: Counter[str] = field(default_factory=Counter)
+    elsewhere: int = 0
+    reasons: Counter[str] = field(default_factory=Counter)
+    failed: list[Stored] = field(default_factory=list)
+
+    @property
+    def all_valid(self) -> bool:
+        """Whether every planned trial has numbers that hold, or can have none."""
+        return not any(self.counts[kind] for kind in ("stale", "missing", "failed", "skipped"))
+
+    def line(self) -> str:
+        """``table2: 1188 trials: 1180 valid, 8 stale``."""
+        parts = [f"{self.counts[kind]} {kind}" for kind in _KINDS if self.counts[kind]]
+        if self.elsewhere:
+            parts.append(f"{self.elsewhere} timed on another machine")
+        total = self.counts.total()
+        return f"{self.suite}: {total} trial{'s' * (total != 1)}: {', '.join(parts) or 'none'}"
+
+
+def status(folder: Path) -> Status:
+    """Of one results folder; nothing is computed anew.
+
+    Raises:
+        InputError: no results there, or of another format.
+    """
+    results = Results.load(folder)
+    found = Status(folder, str(results.plan.get("suite") or folder.name))
+    here = machine.identity(str(results.plan.get("device") or "cpu"))
+    rows = results.frame.drop_duplicates("trial").set_index("trial")
+    for key, said, why in zip(rows.index, rows["status"], rows["reason"], strict=True):
+        stored = results.found.get(key)
+        kind = "missing" if stored is None else _kind(str(said))
+        found.counts[kind] += 1
+        if kind in ("stale", "failed"):
+            found.reasons[str(why)] += 1
+        if stored and kind == "failed":
+            found.failed.append(stored)
+        if stored and kind == "valid" and stored.trial.get("machine", here) != here:
+            found.elsewhere += 1
+    return found
+
+
+def folders(place: Path) -> list[Path]:
+    """The results folders at or directly below ``place``."""
+    if (place / FILE).is_file():
+        return [place]
+    return sorted(path.parent for path in place.glob(f"*/{FILE}"))
+
+
+def _kind(status: str) -> str:
+    if status in FAILED:
+        return "failed"
+    return {"ok": "valid", STALE: "stale"}.get(status, status)
