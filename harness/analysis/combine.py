@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -29,6 +30,11 @@ class Estimate:
         return self.low is not None and self.high is not None
 
 
+def notes(estimates: Iterable[Estimate]) -> str:
+    """What is to be known of any of them, each remark once."""
+    return "; ".join(dict.fromkeys(e.note for e in estimates if e.note))
+
+
 def over_seeds(estimates: list[Estimate]) -> Estimate:
     """Mean over training and render seeds, with an interval that holds both spreads.
 
@@ -41,13 +47,13 @@ def over_seeds(estimates: list[Estimate]) -> Estimate:
         return estimates[0]
     values = np.array([e.value for e in estimates])
     if not np.isfinite(values).all():
-        return Estimate(float(values.mean()))
+        return Estimate(float(values.mean()), note=notes(estimates))
     logs = _on_log_scale(estimates)
     centres = np.log(values) if logs else values
     middle = float(centres.mean())
     half = float(stats.t.ppf(0.975, count - 1) * centres.std(ddof=1) / math.sqrt(count))
     back = math.exp if logs else float
-    return Estimate(back(middle), back(middle - half), back(middle + half))
+    return Estimate(back(middle), back(middle - half), back(middle + half), notes(estimates))
 
 
 def geometric_mean(estimates: list[Estimate], whole: int) -> Estimate:
@@ -78,9 +84,9 @@ def ratio(above: Estimate, below: Estimate) -> Estimate:
     value = above.value / below.value
     pair = (above, below)
     if not all(e.has_interval and e.low > 0 for e in pair):
-        return Estimate(value)
+        return Estimate(value, note=notes(pair))
     half = Z95 * math.hypot(*(_spread(e, logs=True) for e in pair))
-    return Estimate(value, value * math.exp(-half), value * math.exp(half))
+    return Estimate(value, value * math.exp(-half), value * math.exp(half), notes(pair))
 
 
 def _mean(estimates: list[Estimate], whole: int, value: float, logs: bool) -> Estimate:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -21,6 +22,8 @@ from harness.store.stored import LABELS, NOT_RUN, Stored
 
 T = TypeVar("T")
 
+SHOWN = ("ok", STALE)
+"""Statuses of rows with a number; that of a stale one is printed with its reason."""
 NO_TRIAL = "not planned: the suite has no such trial"
 CEILING = "tabulated"
 """The method that is shown, but is too slow and too large to win."""
@@ -128,7 +131,7 @@ class Results:
     ) -> Estimate | str:
         """The number over all seeds, or the reason why there is none.
 
-        If some seeds failed it is that of the others, with a note.
+        If some seeds failed it is that of the others, with a note; so has one that is stale.
         """
         rows = self.rows(measure, material, method, scene)
         if not rows:
@@ -136,16 +139,20 @@ class Results:
         found = [
             row
             for row in rows
-            if row["metric"] == metric and row["status"] == "ok" and not math.isnan(row["value"])
+            if row["metric"] == metric and row["status"] in SHOWN and not math.isnan(row["value"])
         ]
         if not found:
             return _why(rows, measure, metric)
         number = over_seeds([_estimate(row) for row in found])
+        old = next((str(row["reason"]) for row in found if row["status"] == STALE), "")
+        if old:
+            number = replace(number, note=old)
         good = {row["trial"] for row in found}
         seeds = {row["trial"] for row in rows}
         if good != seeds:
             lost = _why([row for row in rows if row["trial"] not in good], measure, metric)
-            return replace(number, note=f"{len(good)} of {len(seeds)} seeds only; {lost}")
+            few = f"{len(good)} of {len(seeds)} seeds only; {lost}"
+            return replace(number, note="; ".join(filter(None, (number.note, few))))
         return number
 
     def why_missing(self, measure: str, material: str, method: str, scene: str = "") -> str:
@@ -164,7 +171,13 @@ class Results:
     ) -> list[str]:
         """Hashes of the trials with a number, in the suite's order."""
         rows = self.rows(measure, material, method, scene)
-        return list(dict.fromkeys(row["trial"] for row in rows if row["status"] == "ok"))
+        return list(dict.fromkeys(row["trial"] for row in rows if row["status"] in SHOWN))
+
+    def stale(self, measure: str) -> dict[str, int]:
+        """Why numbers of a measure do not hold any more, with how many trials each concerns."""
+        old = [row for row in self.rows(measure) if row["status"] == STALE]
+        reasons = {row["trial"]: str(row["reason"]) for row in old}
+        return dict(Counter(reasons.values()))
 
     def stored(self, trial: str) -> Stored:
         """A trial with its arrays and images."""
@@ -235,7 +248,7 @@ def _damaged(trial: Stored, why: str) -> Stored:
 
 def _why(rows: list[dict[str, Any]], measure: str, metric: str) -> str:
     """Status and reason of the rows that failed; without one, the number was never recorded."""
-    failed = [row for row in rows if row["status"] != "ok"]
+    failed = [row for row in rows if row["status"] not in SHOWN]
     exact = [row for row in failed if row["metric"] == metric]
     for row in [*exact, *failed][:1]:
         reason = " ".join(str(row["reason"]).split())

@@ -23,7 +23,7 @@ from harness.identity.verdict import (
 )
 from harness.identity.verdict import FIT as STATE_PART
 from harness.measures import registry as measures
-from harness.store.stored import STATE, Stored
+from harness.store.stored import Stored
 from harness.suite import source_parts
 from harness.suite.plan import Plan
 from harness.suite.trials import FIT, Trial
@@ -111,7 +111,7 @@ class Validity:
 
     def _state(self, fit: str) -> str:
         stored = self.stored.get(fit)
-        return stored.files.get(STATE, "") if stored else ""
+        return stored.state if stored else ""
 
     def _key(self, trial: Trial) -> tuple:
         return trial.method_name, repr(trial.material_spec), trial.measure, repr(trial.scene_spec)

@@ -59,6 +59,8 @@ class Stored:
     """By part: digest of the probe that was made when it was measured."""
     analysis: str = ""
     """Digest of the analysis that made the records of the raw outputs; "" if it cannot again."""
+    state: str = ""
+    """Digest of the fitted method's state, which published results name without keeping it."""
     files: dict[str, str] = field(default_factory=dict)
     """Digests of the files beside the database, by name."""
 

@@ -45,6 +45,7 @@ def save(results: ResultsFolder, trial: Stored, outcome: Any) -> Stored:
         records=[_record(record) for record in outcome.records],
         documents=dict(outcome.documents),
         traceback=outcome.traceback,
+        state=kept.get(STATE, ""),
     )
     return results.save(whole, outcome.arrays, kept)
 

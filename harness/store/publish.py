@@ -1,0 +1,69 @@
+"""``python -m harness.store.publish FROM TO``: a compact copy of results, to be kept with the code.
+
+Planned trials with their records, raw arrays and images; not the states of fitted methods, which
+are large and can be fitted again, nor trials of earlier plans.
+"""
+
+from __future__ import annotations
+
+import argparse
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+from harness.store import files
+from harness.store.folder import ResultsFolder
+from harness.store.lock import locked
+from harness.store.stored import STATE
+
+
+def publish(source: Path, target: Path) -> int:
+    """Copy the planned trials of ``source`` to ``target``; how many there are.
+
+    What ``target`` held is replaced once the copy is whole.
+
+    Raises:
+        InputError: ``source`` holds no results, or ``target`` holds something else.
+    """
+    fresh = target.with_name(f".{target.name}-new")
+    shutil.rmtree(fresh, ignore_errors=True)
+    with ResultsFolder(source) as old, locked(fresh), ResultsFolder(fresh, write=True) as new:
+        plan, trials = old.plan(), old.trials()
+        new.write_plan({k: v for k, v in plan.items() if k != "trials"}, plan["trials"])
+        wanted = [
+            t for k in dict.fromkeys(r["trial"] for r in plan["trials"]) if (t := trials.get(k))
+        ]
+        for trial in wanted:
+            kept = {name: digest for name, digest in trial.files.items() if name != STATE}
+            for name, digest in kept.items():
+                place = files.place(fresh, name, digest)
+                place.parent.mkdir(exist_ok=True)
+                shutil.copyfile(files.checked(source, name, digest), place)
+            new.save(replace(trial, folder=fresh), old.arrays(trial.hash), kept)
+        digests = {digest for trial in wanted for digest in trial.parts.values()}
+        new.note_units({d: units for d in digests if (units := old.units(d))})
+        for change in old.equivalents():
+            new.note_equivalent(*change)
+        new.compact()
+    shutil.copyfile(source / "suite.yaml", fresh / "suite.yaml")
+    (fresh / ".lock").unlink(missing_ok=True)
+    with locked(target):
+        pass  # refuses a folder that is not ours
+    shutil.rmtree(target)
+    fresh.rename(target)
+    return len(wanted)
+
+
+def main() -> None:
+    """The command line."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("source", type=Path, help="a folder that harness run wrote")
+    parser.add_argument("target", type=Path, help="where the copy goes")
+    arguments = parser.parse_args()
+    count = publish(arguments.source, arguments.target)
+    total = sum(p.stat().st_size for p in arguments.target.rglob("*") if p.is_file())
+    print(f"{arguments.target}: {count} trials, {total / 1e6:.2f} MB")
+
+
+if __name__ == "__main__":
+    main()
