@@ -91,7 +91,8 @@ def ratio(above: Estimate, below: Estimate) -> Estimate:
 
 def _mean(estimates: list[Estimate], whole: int, value: float, logs: bool) -> Estimate:
     count = len(estimates)
-    note = f"mean over {count} of {whole} materials only" if count < whole else ""
+    few = f"mean over {count} of {whole} materials only" if count < whole else ""
+    note = "; ".join(filter(None, (few, notes(estimates))))
     if not all(e.has_interval and (e.low > 0 or not logs) for e in estimates):
         return Estimate(value, note=note)
     half = Z95 * math.sqrt(sum(_spread(e, logs) ** 2 for e in estimates)) / count

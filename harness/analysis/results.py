@@ -17,7 +17,7 @@ from harness.analysis.combine import Estimate, over_seeds
 from harness.analysis.renew import renewed
 from harness.analysis.validity import stale
 from harness.store.folder import ResultsFolder
-from harness.store.frame import frame
+from harness.store.frame import STALE, frame
 from harness.store.stored import LABELS, NOT_RUN, Stored
 
 T = TypeVar("T")
