@@ -13,6 +13,7 @@ import numpy as np
 import pandas as pd
 
 from harness.analysis.combine import Estimate, over_seeds
+from harness.analysis.process_pooling import joined
 from harness.store.trials import Stored, load_plan, load_results, load_trial
 
 T = TypeVar("T")
@@ -154,8 +155,8 @@ class Results:
         return self._opened[trial]
 
     def arrays(self, trial: str) -> dict[str, np.ndarray]:
-        """The raw arrays of a trial."""
-        return self.stored(trial).arrays
+        """The raw arrays of a trial; those of repeated processes one after another."""
+        return joined(self.stored(trial).arrays)
 
     def counts(self, measure: str, name: str) -> str:
         """Length of an array over all trials of a measure, as "8" or "8 to 12"; "" if none."""

@@ -1,6 +1,6 @@
 """What the measure ``stability`` stored, as the table and the figure show it: case by method.
 
-Each trial's ``findings.json`` holds the cases of the catalogue that its material stands for,
+Each trial's document ``findings`` holds the cases of the catalogue that its material stands for,
 with their place in the catalogue, their group, and what every property said.
 """
 
@@ -13,10 +13,9 @@ from typing import Any
 
 from harness.analysis import numbers
 from harness.analysis.results import NO_TRIAL, Results
-from harness.core.jsonfile import read_json
 
 MEASURE = "stability"
-FINDINGS = "findings.json"
+FINDINGS = "findings"
 WORST_FIRST = ("fail", "degraded", "pass", "skip")
 _BROKEN = ("error", "nonfinite")
 """Statuses of a trial in which the adapter itself failed, in fitting or in measuring."""
@@ -107,9 +106,7 @@ def groups(rows: list[CaseRow]) -> dict[str, list[CaseRow]]:
 
 
 def _stored(results: Results, trial: str) -> dict[str, Any]:
-    folder = results.stored(trial).folder
-    assert folder is not None  # a trial that is ok has one
-    return read_json(folder / FINDINGS)
+    return results.stored(trial).documents[FINDINGS]
 
 
 def _worst(results: Results, material: str, method: str, cases: list[dict[str, Any]]) -> Entry:
