@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from harness.analysis.process_pooling import together
 from harness.core.record import Record
 from harness.measures.base import Outcome
 from harness.store import trials as store
@@ -198,7 +199,7 @@ class Made:
 
     def _cost(self, random, chi2, variance, seconds, material, method) -> Outcome:
         """In ten processes, or in twelve for the first material."""
-        sittings = 12 if material == self.materials[0] else 10
+        processes = 12 if material == self.materials[0] else 10
         middle = seconds * self.size**2
         share = 1 - 80e-9 / seconds
         parts = {"sampling": share, "material": 0.2 * (1 - share), "rest": 0.8 * (1 - share)}
@@ -211,25 +212,20 @@ class Made:
             Record("seconds-per-million-samples", seconds * 1e6, unit="s"),
             Record("disturbed", float(method == "two-lobe"), unit="1"),
         ]
-        arrays = {
-            "seconds": np.full(8 * sittings, middle),
-            "sitting": np.full((sittings, len(records)), middle),
-        }
-        return Outcome(records=records, arrays=arrays)
+        one = {"seconds": np.full(8, middle)}
+        return Outcome(records=records, arrays=together([one] * processes))
 
     def _convergence(self, random, chi2, variance, seconds, material, method) -> Outcome:
         spp = 2.0 ** np.arange(8)
         mse = variance / spp * np.exp(0.06 * random.standard_normal(8))
         mse[-1] -= 0.9 * mse[-1] if method == "cosine" else 0.0
-        half = 0.2 * mse
+        spread = 0.06 * mse
         if method == "tabulated":
-            mse[-1], half[-1] = -1e-6, 1e-5  # below the noise of the reference
+            mse[-1], spread[-1] = -1e-6, 1e-5  # below the noise of the reference
         arrays = {
             "spp": spp,
-            "seconds": spp * seconds * self.size**2,
-            "mse": mse,
-            "mse_low": mse - half,
-            "mse_high": mse + half,
+            "all_seconds": np.repeat((spp * seconds * self.size**2)[:, None], 4, 1),
+            "errors": mse[:, None] + spread[:, None] * np.array([-1.0, -0.5, 0.5, 1.0]),
         }
         return Outcome(records=[Record("slope", -1.0, -1.05, -0.95, "1")], arrays=arrays)
 
@@ -249,8 +245,6 @@ class Made:
         arrays = {
             "target": np.array(target, np.float32),
             "pdf": np.array(pdf, np.float32),
-            "kl": 0.3 * np.log1p(chi2) * np.array([1.0, 1.2, 0.7]),
-            "mse": chi2 * np.array([0.01, 0.2, 3.0]),
         }
         return Outcome(records=[Record("kl-mean", 0.3, unit="nats")], arrays=arrays)
 

@@ -14,18 +14,20 @@ import pytest
 import torch
 from torch import Tensor
 
+from harness.analysis.records.cost import OWN_TIMES, shares
 from harness.core import registry
 from harness.core.protocol.errors import Unsupported
 from harness.core.protocol.material import Material
 from harness.core.protocol.method import Budget, DiskSample, FitReport, Method
+from harness.core.record import Raw
 from harness.materials import registry as materials
 from harness.measures import registry as measures
 from harness.measures.base import Job, Outcome
-from harness.measures.cold_start import start_cold
-from harness.measures.fit import Fit
+from harness.measures.cold_start import cold_starts
 from harness.measures.memory import peak_bytes
 from harness.mitsuba_runtime import variant
 from harness.scenes import registry as scenes
+from tests.measuring import run
 from tests.planted import Correct, Plaster
 
 variant.use("cpu")
@@ -216,15 +218,14 @@ def test_cost():
         for i, method in enumerate((Correct(), Sleepy()))
     ]
     jobs[1].fit_records = numbers
-    base, sleepy = measures.make("cost").run(jobs, lambda text: None)
+    base, sleepy = run("cost", jobs)
     for outcome in (base, sleepy):
         found = values(outcome)
-        shares = [found[f"{part}-share"] for part in ("sampling", "material", "rest")]
-        assert all(0 < share < 1 for share in shares)
-        kept = sum(outcome.arrays[f"{part}_share"] for part in ("sampling", "material", "rest"))
-        np.testing.assert_allclose(kept, 1)
+        assert all(0 < found[f"{part}-share"] < 1 for part in ("sampling", "material", "rest"))
+        kept = shares(Raw(outcome.arrays))
+        np.testing.assert_allclose(sum(kept.values()), 1)
         for part in ("sampling", "material", "rest"):
-            parts = outcome.arrays[f"{part}_share"] * outcome.arrays["bare_of_metered_seconds"]
+            parts = kept[part] * outcome.arrays["bare_of_metered_seconds"]
             assert found[f"{part}-seconds-per-spp"] == pytest.approx(np.median(parts))
         assert found["seconds-per-spp"] == pytest.approx(np.median(outcome.arrays["seconds"]))
         per_row = np.median(outcome.arrays["sample_seconds"]) / found["batch"]
@@ -240,21 +241,21 @@ def test_cost():
         assert found["measuring-overhead"] > 0
         assert outcome.arrays["loadavg"].shape == (3,)
         assert len(outcome.arrays["sample_seconds"]) == 3
-        # Its own turns, those beside its metered renders, and the baseline's beside the other's.
-        turns = 3 if outcome is base else 2
-        assert len(outcome.arrays["batch_variance"]) == turns * len(outcome.arrays["seconds"])
+        # Its own renders, those beside the metered ones, and the baseline's beside the other's.
+        times = 3 if outcome is base else 2
+        assert len(outcome.arrays["batch_variance"]) == times * len(outcome.arrays["seconds"])
         assert (outcome.arrays["batch_variance"] > 0).all()
         units = {r.metric: r.unit for r in outcome.records}
         assert units["rays"] == "1/spp" and units["sampling-seconds-per-spp"] == "s"
         assert not {"load-seconds", "compile-seconds", "peak-bytes"} & set(found)
-        assert set(measures.make("cost").own_times) <= set(found)
+        assert set(OWN_TIMES) <= set(found)
         assert bool(found["disturbed"]) == outcome.reason.startswith("disturbed")
     for metric in ("sample-time-ratio", "pdf-time-ratio", "time-ratio"):
         assert values(base)[metric] == 1
     found = values(sleepy)
     # 30 ms a call, in the call and in the render that makes it.
     assert found["seconds-per-million-samples"] * found["batch"] / 1e6 >= Sleepy.pause
-    slept = sleepy.arrays["sampling_share"] * sleepy.arrays["metered_seconds"]
+    slept = shares(Raw(sleepy.arrays))["sampling"] * sleepy.arrays["metered_seconds"]
     assert (slept * sleepy.arrays["round_spp"] >= Sleepy.pause).all()
     assert found["fit-data-seconds"] == 0.25 and found["fit-optimise-seconds"] == 2.0
     assert found["fit-seconds"] == 2.5
@@ -278,19 +279,19 @@ def test_cost_of_what_cannot_end():
         job("cost", fitted(method, material), material, settings=settings, baseline=i == 0)
         for i, method in enumerate((Correct(), Glacial()))
     ]
-    base, slow = measures.make("cost").run(jobs, lambda text: None)
+    base, slow = run("cost", jobs)
     assert base.status == "ok" and slow.status == "timeout" and "needs about" in slow.reason
 
 
 def test_cost_of_given_sizes():
-    """What a later sitting is asked: the sizes of the first, and no cold starts."""
+    """What a later process is asked: the sizes of the first, and no cold starts."""
     material, measure = Plaster(), measures.make("cost")
     settings = {**QUICK, "starts": 0, "rows": 80, "spp": 5}
     asked = job("cost", fitted(Correct(), material), material, settings=settings, baseline=True)
-    (found,) = measure.run([asked], lambda text: None)
+    (found,) = run("cost", [asked])
     assert values(found)["batch"] == 80 and found.arrays["round_spp"] == 5
-    assert measure.later_sittings(found) == {"rows": 80, "spp": 5, "starts": 0}
-    assert measure.later_sittings(Outcome("timeout", "slow")) == {"starts": 0}
+    assert measure.later_processes(found) == {"rows": 80, "spp": 5, "starts": 0}
+    assert measure.later_processes(Outcome("timeout", "slow")) == {"starts": 0}
 
 
 def test_cost_is_bound_to_the_machine():
@@ -307,7 +308,7 @@ def test_cold_start_of_a_fitted_method():
     method = fitted(registry.make("improved-baseline"), material)
     state = method.state_dict()
     rows = 1 << 18
-    cold = start_cold("improved-baseline", {}, "suede", state, "cpu", rows, 2)
+    cold = cold_starts("improved-baseline", {}, "suede", state, "cpu", rows, 2)
     assert len(cold.load) == len(cold.compile) == 2
     assert all(seconds > 0 for seconds in cold.load)
     # A first call that compiles is no match for noise: the second start compiles again.
@@ -319,12 +320,12 @@ def test_cold_start_of_a_fitted_method():
 
 def test_a_cold_start_that_fails_says_why():
     with pytest.raises(RuntimeError, match="no-such-method"):
-        start_cold("no-such-method", {}, "suede", {}, "cpu", 8, 1)
+        cold_starts("no-such-method", {}, "suede", {}, "cpu", 8, 1)
 
 
 @pytest.mark.slow
 def test_cold_start_of_a_method_without_a_state():
-    cold = start_cold("cosine", {}, "suede", {}, "cpu", 1024, 1)
+    cold = cold_starts("cosine", {}, "suede", {}, "cpu", 1024, 1)
     assert cold.size == 0 and len(cold.load) == 1
 
 
@@ -386,7 +387,7 @@ def test_fit_records_baking_where_it_is_reported(bake):
             super().fit(material, budget, generator)
             return FitReport(data_seconds=100.0, optimise_seconds=200.0, bake_seconds=bake)
 
-    found = values(Fit().run([job("fit", Bakes(), Plaster())], lambda text: None)[0])
+    found = values(run("fit", [job("fit", Bakes(), Plaster())])[0])
     assert found["data-seconds"] == 100 and found["optimise-seconds"] == 200
     assert found.get("bake-seconds", 0.0) == bake and ("bake-seconds" in found) == (bake > 0)
     # Shared targets took no time now: a fit alone would make them.
@@ -400,7 +401,7 @@ def test_a_fit_is_as_sure_as_its_parts_are_equal(parts):
             super().fit(material, budget, generator)
             return FitReport(data_seconds=100.0, optimise_seconds=6.0, part_seconds=parts)
 
-    outcome = Fit().run([job("fit", Timed(), Plaster())], lambda text: None)[0]
+    outcome = run("fit", [job("fit", Timed(), Plaster())])[0]
     found = {record.metric: record for record in outcome.records}
     for metric, total in (("optimise-seconds", 6.0), ("fit-seconds", 106.0)):
         record = found[metric]

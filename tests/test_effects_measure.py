@@ -14,6 +14,7 @@ import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from harness.analysis.records.effects import VERDICTS
 from harness.cli.main import main
 from harness.core import registry
 from harness.core.protocol.material import Material
@@ -22,6 +23,7 @@ from harness.effects.base import Offer
 from harness.effects.offer import offer
 from harness.effects.registry import checked, is_auto, recipe
 from harness.effects.variants import explicit, full, with_one_more, without
+from harness.measures import registry as measures
 from harness.measures.base import Job
 from harness.measures.flip import exposures, flip
 from harness.mitsuba_runtime import variant
@@ -29,12 +31,13 @@ from harness.scenes import registry as scenes
 from harness.scenes.base import Scene
 from harness.stats.difference import difference
 from tests.effect_fakes import OWN, Offset, hall
+from tests.measuring import run
 
 variant.use("cpu")
 
 from harness.materials.mitsuba_bsdf import MitsubaMaterial  # noqa: E402
 from harness.measures.auto import resolve  # noqa: E402
-from harness.measures.effects import FULL, VERDICTS, Effects, variants_of  # noqa: E402
+from harness.measures.effects import FULL, variants_of  # noqa: E402
 
 OFFER = Offer("hall", frozenset({"environment", "area-lights", "point-lights"}), material=OWN)
 
@@ -145,14 +148,15 @@ def job(scene: Scene, material: Material, method: str = "cosine", **changed: obj
         "rounds": 6, "spp": 32, "slice_seconds": 0.01, "resolution": 12, "warm_up": 0.0
     } | changed  # fmt: skip
     return Job(
-        SimpleNamespace(), material, made, scene, 0, torch.Generator().manual_seed(0), given_,
-        Budget(), Path(), lambda: made,
+        SimpleNamespace(), material, made, scene, 0, torch.Generator().manual_seed(0),
+        measures.settings("effects", given_),
+        Budget(), lambda: made,
     )  # fmt: skip
 
 
 def measured(scene: Scene, material: Material, **changed: object) -> tuple[dict, dict, dict]:
     """Verdicts by effect, values by metric, images."""
-    outcome = Effects().run([job(scene, material, **changed)], lambda _: None)[0]
+    outcome = run("effects", [job(scene, material, **changed)])[0]
     assert outcome.status == "ok"
     values = {r.metric: r.value for r in outcome.records}
     verdicts = {

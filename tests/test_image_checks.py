@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -11,8 +11,11 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
+from harness.analysis.records import image_checks as records
+from harness.analysis.records.image_checks import ROUNDING
 from harness.analysis.results import Results
 from harness.core import registry
 from harness.core.protocol.disk import inside_disk
@@ -25,12 +28,15 @@ from harness.mitsuba_runtime import variant
 from harness.report.table import Table
 from harness.report.tables.image_checks import CHECKS, NOISELESS, RATIOS, image_checks
 from harness.scenes import registry as scenes
+from harness.stats.blocks import Blocks
 from harness.stats.intervals import mean_interval
+from harness.stats.ztest import Agreement
+from tests import measuring
 from tests.test_rendering import SometimesNan, UniformDisk, White, mitsuba, white, xml_scene
 
 mi = variant.use("cpu")
 
-from harness.measures.image_checks import FURNACE, ROUNDING, Image, compare, is_white  # noqa: E402
+from harness.measures.image_checks import FURNACE, is_white  # noqa: E402
 from harness.rendering.misreported import MisreportedBSDF, tilted, tripled  # noqa: E402
 from harness.rendering.prepared import Prepared, prepare  # noqa: E402
 
@@ -174,13 +180,25 @@ def run(method: str | Method, material: Material, scene: Any = STUDIO, **given: 
     """Records of the measure, by metric, at a size for tests."""
     given = {"batches": 6, "spp": 16, "resolution": 24, "reference_spp": 512, **given}
     method = fitted(method, material)
-    outcome = measures.make("image-checks").run(
-        [job(method, material, scene, **given)], lambda text: None
-    )[0]
+    outcome = measuring.run("image-checks", [job(method, material, scene, **given)])[0]
     assert outcome.status == "ok"
     found = {r.metric: r for r in outcome.records}
     assert len(found) == len(outcome.records)
     return found
+
+
+@dataclass(frozen=True)
+class Image:
+    """Mean luminance [H, W] and the variance of that mean."""
+
+    mean: NDArray
+    variance: NDArray
+
+
+def compare(image: Image, expected: Image, mask: NDArray[np.bool_]) -> Agreement:
+    """As the records are made, of moments of blocks."""
+    blocks = (Blocks.of(one.mean, one.variance, mask) for one in (image, expected))
+    return records.compare(*blocks)
 
 
 def image(prepared: Prepared, spp: int, seed: int, batches: int = 6) -> Image:

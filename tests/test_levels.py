@@ -11,6 +11,7 @@ from harness.materials.neural.architecture import Architecture
 from harness.materials.neural.material import NeuralMaterial
 from harness.materials.neural.network import NeuralMBTF
 from harness.measures import levels
+from tests.measuring import run
 
 SMALL = Architecture(resolution=16, offset_resolution=8, width=8, layers=1)
 
@@ -47,7 +48,7 @@ def job(material, generator=None):
 
 def found(monkeypatch, surface, value):
     monkeypatch.setattr(levels, "surface_of", lambda _: surface)
-    outcome = levels.Levels().run([job(constant(value))], lambda _: None)[0]
+    outcome = run("levels", [job(constant(value))])[0]
     return {r.metric: r for r in outcome.records}, outcome
 
 
@@ -75,11 +76,11 @@ def test_noise_of_the_truth_is_no_error_of_the_network(monkeypatch):
 
 
 def test_sizes_are_counted():
-    records = {r.metric: r.value for r in levels.sizes(constant(0.1))}
+    records = levels.sizes(constant(0.1))
     decoder, offset = 12 * 8 + 8 + 8 * 3 + 3, 10 * 8 + 8 + 8 + 1
-    assert records["network-parameters"] == decoder + offset
-    assert records["texture-numbers"] == 16 * 16 * 8 + 8 * 8 * 8
-    assert records["texture-channels"] == 16
+    assert records["network_parameters"] == decoder + offset
+    assert records["texture_numbers"] == 16 * 16 * 8 + 8 * 8 * 8
+    assert records["texture_channels"] == 16
 
 
 def test_a_material_without_a_surface_is_unsupported():

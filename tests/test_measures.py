@@ -11,7 +11,9 @@ import pytest
 import torch
 from torch import Tensor
 
+from harness.analysis.records.convergence import curve_of
 from harness.analysis.records.slices import divergences
+from harness.analysis.records.throughput import OWN_TIMES
 from harness.core import registry
 from harness.core.protocol.disk import inside_disk, square_to_disk
 from harness.core.protocol.errors import BudgetExceeded
@@ -19,7 +21,7 @@ from harness.core.protocol.material import Material
 from harness.core.protocol.method import Budget, DiskSample, Method
 from harness.fitting.targets import cells, tabulate
 from harness.materials import registry as materials
-from harness.measures import adapter_smoke_test as guard
+from harness.measures import adapter_smoke_test
 from harness.measures import registry as measures
 from harness.measures.base import Job, Outcome
 from harness.mitsuba_runtime import variant
@@ -322,14 +324,16 @@ def test_bias():
     assert abs(values(right)["bias"]) < 0.03
     for outcome in (biased, right):
         assert outcome.arrays["batch_variance"].shape == (6,)
-        assert outcome.arrays["mean"].shape == outcome.arrays["mask"].shape == (16, 16)
+        assert (
+            outcome.arrays["blocks"].shape == outcome.arrays["reference_blocks"].shape == (4, 1, 1)
+        )
         assert outcome.images["mean"].shape == (16, 16, 3)
     assert values(right)["spp"] == 6 * 64
     variance = {r.metric: r for r in right.records}["variance"]
     assert 0 < variance.ci_low < variance.value < variance.ci_high
 
 
-def test_a_heavy_tail_is_looked_at_again():
+def test_a_heavy_tail_is_rendered_anew():
     """Its first image lacks what rare samples carry, and their variance: not a wrong density."""
     from harness.measures import equal_spp as module
 
@@ -356,7 +360,7 @@ def test_renders_with_nan_are_refused(name):
     """Instead of measured."""
     jobs = [job(name, Nan(), FakeMaterial("grey"), baseline=True, resolution=8)]
     with pytest.raises(FloatingPointError, match="nan on grey: .* pixels are not finite"):
-        measures.make(name).run(jobs, lambda text: None)
+        run(name, jobs)
 
 
 # --- equal time ------------------------------------------------------------------------
@@ -370,7 +374,7 @@ def test_equal_time():
     methods = [Sleepy(), Uneven(), Uneven(0.4)]
     jobs = [job("equal-time", m, material, baseline=i == 1, **given) for i, m in enumerate(methods)]
     said: list[str] = []
-    outcomes = measures.make("equal-time").run(jobs, said.append)
+    outcomes = run("equal-time", jobs, said.append)
     assert len(outcomes) == 3 and any("round 5 of 5" in text for text in said)
     sleepy, base, uneven = (values(o) for o in outcomes)
     for metric in ("speedup-equal-time", "speedup-equal-spp"):
@@ -420,7 +424,7 @@ def test_what_cannot_end_is_not_begun(name):
     given |= {"rounds": 3, "slice_seconds": 0.02, "deadline": 0.05} if name == "equal-time" else {}
     given |= {"levels": 3, "reference_spp": 16, "patience": 1.0} if name == "convergence" else {}
     jobs = [job(name, Glacial(), material, **given), job(name, Uneven(), material, True, **given)]
-    slow, base = measures.make(name).run(jobs, lambda text: None)
+    slow, base = run(name, jobs)
     assert slow.status == "timeout" and "glacial needs about" in slow.reason
     assert base.status == "ok" and base.records
 
@@ -433,9 +437,7 @@ def test_equal_spp_does_not_begin_what_cannot_end():
 def test_a_baseline_that_is_too_slow():
     given = {"rounds": 3, "resolution": 12, "patience": 1.0}
     with pytest.raises(BudgetExceeded, match="baseline"):
-        measures.make("equal-time").run(
-            [job("equal-time", Glacial(), Plaster(), True, **given)], lambda text: None
-        )
+        run("equal-time", [job("equal-time", Glacial(), Plaster(), True, **given)])
 
 
 def test_an_exact_sampler_is_infinitely_better():
@@ -447,7 +449,7 @@ def test_an_exact_sampler_is_infinitely_better():
     exact, uneven = registry.make("cosine"), Uneven(0.4)
     jobs = [job("equal-time", exact, material, **given)]
     jobs.append(job("equal-time", uneven, material, True, **given))
-    found = values(measures.make("equal-time").run(jobs, lambda text: None)[0])
+    found = values(run("equal-time", jobs)[0])
     # Either nothing is left of the variance, or what rounding of the moments leaves.
     assert found["speedup-equal-time"] == math.inf or found["speedup-equal-spp"] > 1e3
 
@@ -457,7 +459,7 @@ def test_an_exact_sampler_is_infinitely_better():
 )
 def test_speed_up_of_no_variance(base, method, ratio):
     """Infinite, zero, or without meaning; and no interval."""
-    from harness.measures.equal_time import compare
+    from harness.analysis.records.equal_time import compare
 
     variances, seconds = (np.full(4, base), np.full(4, method)), (np.ones(4), np.ones(4))
     for value, low, high in compare(variances, seconds):
@@ -475,12 +477,13 @@ def test_convergence():
         job("convergence", m, Plaster(), baseline=i == 0, **given)
         for i, m in enumerate((registry.make("cosine"), Correct()))
     ]
-    for outcome in measures.make("convergence").run(jobs, lambda text: None):
+    for outcome in run("convergence", jobs):
         found = values(outcome)
         assert found["slope"] == pytest.approx(-1, abs=0.15)
-        arrays = outcome.arrays
+        assert outcome.arrays["errors"].shape == (6, 6)
+        arrays = curve_of(outcome.arrays)
         assert arrays["spp"].tolist() == [1, 2, 4, 8, 16, 32]
-        assert arrays["errors"].shape == (6, 6) and arrays["seconds"].shape == (6,)
+        assert arrays["seconds"].shape == (6,)
         assert (arrays["mse_low"] <= arrays["mse"]).all()
         assert (arrays["mse"] <= arrays["mse_high"]).all()
         assert found["mse-last"] == arrays["mse"][-1]
@@ -505,9 +508,9 @@ def test_convergence_stops_in_time():
         job("convergence", m, FakeMaterial("grey"), baseline=i == 0, **given)
         for i, m in enumerate((Sleepy(0.5), Sleepy(0.5)))
     ]
-    for outcome in measures.make("convergence").run(jobs, lambda text: None):
+    for outcome in run("convergence", jobs):
         assert 1 <= len(outcome.arrays["spp"]) < 5
-        assert np.isfinite(outcome.arrays["mse"]).all()
+        assert np.isfinite(curve_of(outcome.arrays)["mse"]).all()
 
 
 # --- throughput ------------------------------------------------------------------------
@@ -526,11 +529,11 @@ def test_throughput():
         job("throughput", m, Plaster(), baseline=i == 0, **given)
         for i, m in enumerate((Correct(), PerRow()))
     ]
-    good, slow = measures.make("throughput").run(jobs, lambda text: None)
+    good, slow = run("throughput", jobs)
     for outcome in (good, slow):
         found = values(outcome)
         rates = {"samples-per-second", "pdf-queries-per-second"}
-        assert set(measures.make("throughput").own_times) == rates
+        assert set(OWN_TIMES) == rates
         rest = {"batch", "sample-time-ratio", "pdf-time-ratio", "disturbed"}
         assert set(found) == rates | rest
         assert all(r.unit == ("1/s" if r.metric in rates else "1") for r in outcome.records)
@@ -547,9 +550,9 @@ def test_throughput():
 def test_throughput_of_exactly_so_many_rows() -> None:
     given = {"batch": 4096, "rows": 48, "rounds": 2, "max_rounds": 2, "least_seconds": 0.0}
     asked = job("throughput", Correct(), Plaster(), baseline=True, **given)
-    (found,) = measures.make("throughput").run([asked], lambda text: None)
+    (found,) = run("throughput", [asked])
     assert values(found)["batch"] == 48
-    assert measures.make("throughput").later_sittings(found) == {"rows": 48}
+    assert measures.make("throughput").later_processes(found) == {"rows": 48}
 
 
 def test_uneven_is_a_correct_sampler():
@@ -571,6 +574,6 @@ def test_a_state_is_handed_over_on_the_device_of_the_materials(monkeypatch) -> N
     """Adapters may keep theirs elsewhere; a material answers on one device alone."""
     method = registry.make("cosine")
     monkeypatch.setattr(method, "state_dict", lambda: {"a": torch.ones(2)})
-    assert torch.equal(guard.state_of(method)["a"], torch.ones(2))
-    monkeypatch.setattr(guard, "current", lambda: "meta")
-    assert guard.state_of(method)["a"].device.type == "meta"
+    assert torch.equal(adapter_smoke_test.state_of(method)["a"], torch.ones(2))
+    monkeypatch.setattr(adapter_smoke_test, "current", lambda: "meta")
+    assert adapter_smoke_test.state_of(method)["a"].device.type == "meta"

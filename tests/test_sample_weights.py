@@ -12,8 +12,8 @@ import torch
 from harness.core import registry
 from harness.core.protocol.method import Budget
 from harness.materials import registry as materials
-from harness.measures.sample_weights import SampleWeights
 from tests.materials import MATERIALS
+from tests.measuring import run
 
 COPPER = {"alpha_x": 0.4, "alpha_y": 0.4, "r0_r": 0.9, "r0_g": 0.9, "r0_b": 0.9}
 
@@ -27,7 +27,7 @@ def measured(material, method, conditions: int = 8, samples: int = 4096):
         budget=Budget(),
         settings={"conditions": conditions, "samples": samples},
     )
-    (outcome,) = SampleWeights().run([job], lambda text: None)
+    (outcome,) = run("sample-weights", [job])
     return {r.metric: r.value for r in outcome.records}, outcome.arrays
 
 

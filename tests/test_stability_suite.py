@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import json
 import math
 from collections.abc import Iterator
 from pathlib import Path
@@ -24,7 +25,7 @@ from harness.analysis.verdicts import case_rows
 from harness.checks.catalogue import CATALOGUE
 from harness.checks.finding import Finding
 from harness.checks.run import CASE_ALARM, FALSE_ALARM
-from harness.core.jsonfile import read_json
+from harness.core.jsonfile import dumps
 from harness.core.protocol.errors import InputError, Unsupported
 from harness.core.protocol.method import Budget
 from harness.core.record import Record
@@ -42,10 +43,10 @@ from harness.report.table import Cell, Table
 from harness.report.tables import TABLES
 from harness.runner.run import Options
 from harness.runner.run import run as run_plan
-from harness.store import trials as store
 from harness.suite.load import load
 from harness.suite.plan import make_plan
 from tests import report_results
+from tests.measuring import run as run_measure
 from tests.report_results import Made
 
 # --- the measure ---------------------------------------------------------------------------------
@@ -77,37 +78,41 @@ def catalogue(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
     return {"answers": answers, "asked": asked}
 
 
-def measured(folder: Path, material: str = "suede", **settings: Any) -> Outcome:
+def measured(material: str = "suede", **settings: Any) -> Outcome:
     job = SimpleNamespace(
         method=object(),
         make=object,
         material=SimpleNamespace(name=material),
         seed=7,
         budget=Budget(),
-        out_dir=folder,
         settings=measures.settings("stability", settings),
     )
-    (outcome,) = measures.make("stability").run([job], print)
+    (outcome,) = run_measure("stability", [job], print)
     return outcome
+
+
+def stored_findings(outcome: Outcome) -> dict[str, Any]:
+    """As a store gives them back."""
+    return json.loads(dumps(outcome.documents))[stability.FINDINGS]
 
 
 def numbers(outcome: Outcome) -> dict[str, float]:
     return {record.metric: record.value for record in outcome.records}
 
 
-def test_only_the_cases_of_the_material_are_run(catalogue, tmp_path: Path):
-    outcome = measured(tmp_path)
+def test_only_the_cases_of_the_material_are_run(catalogue):
+    outcome = measured()
     assert outcome.status == "ok" and numbers(outcome) == {"one": 0.0, "two": 0.0}
     assert catalogue["asked"] == [("one", CASE_ALARM, 7), ("two", CASE_ALARM, 7)]
-    assert numbers(measured(tmp_path, "rim-lobe")) == {"other": 0.0}
-    assert numbers(measured(tmp_path, cases=["two"])) == {"two": 0.0}
+    assert numbers(measured("rim-lobe")) == {"other": 0.0}
+    assert numbers(measured(cases=["two"])) == {"two": 0.0}
     with pytest.raises(Unsupported, match="no hard case .* asks for brocade"):
-        measured(tmp_path, "brocade")
+        measured("brocade")
     with pytest.raises(Unsupported):
-        measured(tmp_path, cases=["other"])
+        measured(cases=["other"])
 
 
-def test_the_worst_verdict_counts_and_the_worst_numbers_are_recorded(catalogue, tmp_path: Path):
+def test_the_worst_verdict_counts_and_the_worst_numbers_are_recorded(catalogue):
     catalogue["answers"]["one"] = [
         found("weights", number=0.4, unit="efficiency"),
         found("weights", "degraded", 0.002, unit="efficiency"),
@@ -120,7 +125,7 @@ def test_the_worst_verdict_counts_and_the_worst_numbers_are_recorded(catalogue, 
         found("gradients", "skip"),
     ]
     catalogue["answers"]["two"] = [found("weights", "degraded", 0.005), found("integral", "fail")]
-    outcome = measured(tmp_path)
+    outcome = measured()
     assert numbers(outcome) == {
         "one": 1.0,
         "one/efficiency": 0.002,
@@ -134,19 +139,20 @@ def test_the_worst_verdict_counts_and_the_worst_numbers_are_recorded(catalogue, 
     assert (units["one"], units["one/efficiency"]) == ("verdict", "efficiency")
 
 
-def test_an_adapter_that_raises_fails_the_case_and_not_the_trial(catalogue, tmp_path: Path):
+def test_an_adapter_that_raises_fails_the_case_and_not_the_trial(catalogue):
     catalogue["answers"]["one"] = ValueError("two\nlines")
-    outcome = measured(tmp_path)
+    outcome = measured()
     assert outcome.status == "ok" and numbers(outcome) == {"one": 2.0, "two": 0.0}
-    stored = read_json(tmp_path / "findings.json")["cases"]
+    stored = stored_findings(outcome)["cases"]
     assert stored[0]["findings"][0]["text"] == "raised ValueError: two lines"
 
 
-def test_a_case_that_does_not_apply_has_a_reason_and_no_number(catalogue, tmp_path: Path):
+def test_a_case_that_does_not_apply_has_a_reason_and_no_number(catalogue):
     catalogue["answers"]["one"] = [found("state", "skip")]
     catalogue["answers"]["two"] = []
-    assert measured(tmp_path).records == []
-    stored = read_json(tmp_path / "findings.json")["cases"]
+    outcome = measured()
+    assert outcome.records == []
+    stored = stored_findings(outcome)["cases"]
     assert [case["verdict"] for case in stored] == ["skip", "skip"]
     assert [case["findings"][0]["text"] for case in stored] == [
         "state says skip",
@@ -154,11 +160,10 @@ def test_a_case_that_does_not_apply_has_a_reason_and_no_number(catalogue, tmp_pa
     ]
 
 
-def test_findings_are_stored_with_their_place_and_their_worst_input(catalogue, tmp_path: Path):
+def test_findings_are_stored_with_their_place_and_their_worst_input(catalogue):
     worst = {"wo": "(0.6, 0.8)", "got": "nan"}
     catalogue["answers"]["two"] = [found("pdf-finite", "fail", math.nan, worst=worst)]
-    measured(tmp_path)
-    stored = read_json(tmp_path / "findings.json")
+    stored = stored_findings(measured())
     assert stored["case_alarm"] == CASE_ALARM
     first, second = stored["cases"]
     assert (first["position"], second["position"]) == (0, 2)
@@ -242,9 +247,9 @@ class Folder(Made):
 
     findings: dict[tuple[str, str, int], Cases]
 
-    def _trial(self, folder, measure, material, method, scene, seed):
-        row = super()._trial(folder, measure, material, method, scene, seed)
-        if measure == "stability" and store.load_trial(folder, row["trial"]).status == "ok":
+    def _outcome(self, measure, material, method, seed, hashed) -> Outcome:
+        outcome = super()._outcome(measure, material, method, seed, hashed)
+        if measure == "stability" and outcome.status == "ok":
             cases = [
                 {
                     "case": name,
@@ -256,9 +261,8 @@ class Folder(Made):
                 }
                 for name, (verdict, behind) in self.findings[material, method, seed].items()
             ]
-            data = {"case_alarm": 1e-6, "cases": cases}
-            store.write_json(folder / row["trial"] / "findings.json", data)
-        return row
+            outcome.documents = {"findings": {"case_alarm": 1e-6, "cases": cases}}
+        return outcome
 
     def _stability(self, random, chi2, variance, seconds, material, method) -> Outcome:
         return Outcome(records=[Record("normal", 0.0, unit="verdict")])

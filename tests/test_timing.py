@@ -13,12 +13,16 @@ import pytest
 import torch
 from torch import Tensor
 
+from harness.analysis.disturbed import mark
 from harness.core.protocol.method import Budget, DiskSample, Method
+from harness.core.record import Record
 from harness.measures import registry as measures
 from harness.measures import timing
 from harness.measures.base import Job, Outcome
-from harness.measures.deadline_render import Runner, race
-from harness.measures.timing import Contender, RoundSettings, interleave, settle
+from harness.measures.deadline_render import DeadlineRender, render_to_deadlines
+from harness.measures.timing import Contender, RoundSettings, Timings, interleave, settle
+from harness.stats.intervals import Interval
+from tests.measuring import run
 from tests.planted import Correct, Plaster
 
 
@@ -104,7 +108,7 @@ def job(method: Method, baseline: bool, **given: Any) -> Job:
 def throughput(method: Method, base: Method, **given: Any) -> list[Outcome]:
     """Of ``method`` and of the baseline ``base``."""
     jobs = [job(method, False, **given), job(base, True, **given)]
-    return measures.make("throughput").run(jobs, lambda text: None)
+    return run("throughput", jobs)
 
 
 def interval(outcome: Outcome, metric: str) -> tuple[float, float, float]:
@@ -116,6 +120,21 @@ def interval(outcome: Outcome, metric: str) -> tuple[float, float, float]:
 def contenders(*work: Callable[[int], float], units: float = 1.0) -> list[Contender]:
     """The first is everybody's rival."""
     return [Contender(f"c{i}", once, units, None if i == 0 else 0) for i, once in enumerate(work)]
+
+
+def ratio(timings: Timings, index: int) -> Interval:
+    """Of one contender's times to its rival's."""
+    return timings.of(index).ratio()
+
+
+def width(timings: Timings, index: int) -> float:
+    """Of the interval that decides."""
+    return timings.of(index).width()
+
+
+def marked(timings: Timings, *indices: int) -> tuple[Record, str]:
+    """As a trial of these contenders would be."""
+    return mark([timings.of(i) for i in indices], timings.tolerance)
 
 
 def quiet(text: str) -> None:
@@ -132,7 +151,7 @@ def test_an_adapter_twice_as_slow_reads_two(monkeypatch, seed):
     clock = Clock(seed=seed, pace=80)
     monkeypatch.setattr(timing, "now", clock.now)
     Paced.clock = clock
-    # Each call a turn of its own: the machine's swing here is as fast as fifty of them.
+    # Each call a slice of its own: the machine's swing here is as fast as fifty of them.
     given = {"batch": 64, "rounds": 11, "max_rounds": 11, "least_seconds": 0.0}
     given["max_seconds"] = 10.0
     slow, base = throughput(Twice(Paced()), Paced(), **given)
@@ -143,11 +162,11 @@ def test_an_adapter_twice_as_slow_reads_two(monkeypatch, seed):
         assert interval(base, metric) == (1, 1, 1)
     assert interval(slow, "disturbed")[0] == 0 and slow.reason == ""
     # The drift does not cancel in the baseline's own seconds, and the record says so.
-    assert interval(base, "disturbed")[0] == 1 and "paced sample" in base.reason
+    assert interval(base, "disturbed")[0] == 1 and "sample" in base.reason
     assert len(slow.arrays["sample_seconds"]) == 11
 
 
-def test_short_calls_are_repeated_until_a_turn_is_long(monkeypatch):
+def test_short_calls_are_repeated_until_a_round_is_long(monkeypatch):
     """Fifty of a millisecond; what a row costs does not depend on it, and its noise does."""
     widths = []
     for least in (0.0, 0.05):
@@ -187,7 +206,7 @@ def test_intervals_of_the_ratio_hold_two_as_often_as_they_say():
     for seed in range(runs):
         clock = Clock(noise=0.05, seed=seed)
         pair = contenders(lambda _, c=clock: c.work(0.02), lambda _, c=clock: c.work(0.04))
-        _, low, high = interleave(pair, settings, quiet).ratio(1)
+        _, low, high = interleave(pair, settings, quiet).of(1).ratio()
         held += low <= 2 <= high
     # 95 % of the median's interval, less what drift within a round does; 3.5 standard errors.
     assert held / runs == pytest.approx(0.95, abs=3.5 * math.sqrt(0.95 * 0.05 / runs))
@@ -213,7 +232,7 @@ def test_rounds_are_interleaved_and_rotate():
 
 
 def test_slices_alternate_with_the_rival_s():
-    """Who goes first too; the rival's own turn is another, and so are its seconds."""
+    """Who goes first too; the rival's own slices are others, and so are its seconds."""
     order: list[int] = []
 
     def once(index: int) -> Callable[[int], float]:
@@ -227,7 +246,7 @@ def test_slices_alternate_with_the_rival_s():
 
 
 def test_slices_see_the_same_machine():
-    """Whose speed changes within a turn: by half, up and down every tenth of a second."""
+    """Whose speed changes within a round: by half, up and down every tenth of a second."""
     widths = {}
     for slices in (1, 10):
         clock = Clock(noise=0.01, drift=0.5, pace=60)
@@ -236,8 +255,8 @@ def test_slices_see_the_same_machine():
         if slices > 1:
             pair = [replace(one, slices=slices) for one in pair]
         timings = interleave(pair, RoundSettings(rounds=15, max_rounds=15), quiet)
-        assert timings.ratio(1).low <= 2 <= timings.ratio(1).high
-        widths[slices] = timings.width(1)
+        assert ratio(timings, 1).low <= 2 <= ratio(timings, 1).high
+        widths[slices] = width(timings, 1)
     assert widths[10] < widths[1] / 3
 
 
@@ -258,7 +277,7 @@ def test_quiet_timings_end_after_the_planned_rounds():
     timings = interleave(pair, RoundSettings(rounds=8, max_rounds=100), quiet)
     assert len(timings.seconds(0)) == len(timings.seconds(1)) == 8
     assert timings.median(1).value == pytest.approx(0.3, rel=0.02)
-    record, reason = timings.mark(0, 1)
+    record, reason = marked(timings, 0, 1)
     assert (record.metric, record.value, reason) == ("disturbed", 0, "")
 
 
@@ -276,7 +295,7 @@ def test_more_rounds_for_the_wide_ones_only():
     assert taken[1] == 6 and taken[0] == taken[2] and 6 < taken[2] < 400
     assert timings.rival_seconds(2).shape == (taken[2],)
     assert timings.rival_seconds(1).shape == (6,)
-    assert timings.width(2) <= 0.1 and timings.mark(2)[0].value == 0
+    assert width(timings, 2) <= 0.1 and marked(timings, 2)[0].value == 0
 
 
 def test_more_rounds_for_a_chain_of_rivals():
@@ -291,7 +310,7 @@ def test_more_rounds_for_a_chain_of_rivals():
     timings = interleave(chain, RoundSettings(rounds=6, max_rounds=400), quiet)
     taken = [len(timings.seconds(i)) for i in range(3)]
     assert taken[0] == taken[1] == taken[2] > 6
-    assert timings.ratio(1).value == pytest.approx(2, rel=0.01)
+    assert ratio(timings, 1).value == pytest.approx(2, rel=0.01)
 
 
 def test_a_disturbed_measurement_says_so():
@@ -299,12 +318,12 @@ def test_a_disturbed_measurement_says_so():
     noisy = np.random.default_rng(0)
     pair = contenders(lambda _: 1.0, lambda _: math.exp(noisy.normal()))
     timings = interleave(pair, RoundSettings(rounds=6, max_rounds=9), quiet)
-    record, reason = timings.mark(1)
+    record, reason = marked(timings, 1)
     assert record.value == 1 and len(timings.seconds(1)) == 9
     assert "c1" in reason and "after 9 rounds" in reason and "wider than 10%" in reason
-    assert timings.mark(0) == (type(record)("disturbed", 0.0, unit="1"), "")
-    low, high = timings.ratio(1)[1:]
-    assert f"{(high - low) / timings.ratio(1).value:.0%}" in reason
+    assert marked(timings, 0) == (type(record)("disturbed", 0.0, unit="1"), "")
+    low, high = ratio(timings, 1)[1:]
+    assert f"{(high - low) / ratio(timings, 1).value:.0%}" in reason
 
 
 def test_by_default_twice_the_rounds():
@@ -316,7 +335,7 @@ def test_by_default_twice_the_rounds():
 def test_one_round_has_no_interval_and_is_marked():
     """Not being able to tell is not being undisturbed."""
     timings = interleave(contenders(lambda _: 1.0), RoundSettings(rounds=1, max_rounds=1), quiet)
-    assert math.isnan(timings.width(0)) and timings.mark(0)[0].value == 1
+    assert math.isnan(width(timings, 0)) and marked(timings, 0)[0].value == 1
 
 
 def test_overhead_of_the_measuring(monkeypatch):
@@ -328,8 +347,8 @@ def test_overhead_of_the_measuring(monkeypatch):
         clock.work(0.25)  # the harness's own
         return clock.work(1.0)
 
-    settings = RoundSettings(rounds=4, max_rounds=4)
-    assert interleave(contenders(once), settings, quiet).overhead() == pytest.approx(0.25)
+    timings = interleave(contenders(once), RoundSettings(rounds=4, max_rounds=4), quiet)
+    assert timings.wall / timings.timed - 1 == pytest.approx(0.25)
 
 
 # --- warm-up ---------------------------------------------------------------------------
@@ -352,25 +371,25 @@ def test_warm_up_counts_what_was_spent_before():
     assert left == [7.0]
 
 
-# --- the race --------------------------------------------------------------------------
+# --- renders to a deadline -------------------------------------------------------------
 
 
-def runner(clock: Clock, per_spp: float, deadline: float, overhead: float = 0.0) -> Runner:
+def runner(clock: Clock, per_spp: float, deadline: float, overhead: float = 0.0) -> DeadlineRender:
     """Who knows its speed to 20 % only."""
 
     def render(spp: int, seed: int) -> Any:
         image = np.full((2, 2, 3), float(seed))
         return SimpleNamespace(seconds=clock.work(overhead + per_spp * spp), rgb=image)
 
-    return Runner(render, 1.2 * per_spp, deadline, seed=0)
+    return DeadlineRender(render, 1.2 * per_spp, deadline, seed=0)
 
 
 @pytest.mark.parametrize("seed", range(8))
-def test_races_end_together(seed):
+def test_deadline_renders_end_together(seed):
     """Within 3 % of each other, at speeds from 1 to 300 samples a deadline's per cent."""
     clock = Clock(noise=0.05, drift=0.02, seed=seed)
     runners = [runner(clock, s, 1.0, overhead=1e-3) for s in (3e-5, 1e-4, 1e-3, 9e-3)]
-    race(runners)
+    render_to_deadlines(runners)
     taken = [r.seconds for r in runners]
     assert max(taken) / min(taken) < 1.03
     for r in runners:
@@ -378,17 +397,17 @@ def test_races_end_together(seed):
         assert r.spp == sum(n for n, _ in r.chunks) and len(r.chunks) >= 9
 
 
-def test_a_race_of_one_sample_that_takes_too_long():
+def test_one_sample_that_takes_too_long():
     """There always is an image; how far off it is, is told."""
     clock = Clock(noise=0, drift=0)
     late, near = runner(clock, 2.5, 1.0), runner(clock, 0.3, 1.0)
-    race([late, near])
+    render_to_deadlines([late, near])
     assert late.spp == 1 and late.miss == pytest.approx(1.5)
     # Three samples are nearer to the deadline than four.
     assert near.spp == 3 and near.miss == pytest.approx(-0.1)
 
 
-def test_a_slow_spell_hits_all_in_a_race():
+def test_a_slow_spell_hits_all():
     """Chunks alternate: nobody has it alone."""
     order: list[int] = []
 
@@ -399,14 +418,14 @@ def test_a_slow_spell_hits_all_in_a_race():
 
         return one
 
-    race([Runner(render(i), 0.01, 1.0, 0) for i in range(3)])
+    render_to_deadlines([DeadlineRender(render(i), 0.01, 1.0, 0) for i in range(3)])
     assert all({*order[3 * k : 3 * k + 3]} == {0, 1, 2} for k in range(len(order) // 3))
 
 
-def test_the_image_of_a_race_is_the_mean_of_its_samples():
+def test_the_image_is_the_mean_of_its_samples():
     clock = Clock(noise=0, drift=0)
     one = runner(clock, 0.04, 1.0)
-    race([one])
+    render_to_deadlines([one])
     seeds = np.cumsum([0, *(n for n, _ in one.chunks)])[:-1]
     expected = sum(n * s for (n, _), s in zip(one.chunks, seeds, strict=True)) / one.spp
     np.testing.assert_allclose(one.image, expected)

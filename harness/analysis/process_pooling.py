@@ -50,7 +50,9 @@ def joined(arrays: Mapping[str, NDArray]) -> dict[str, NDArray]:
     }
 
 
-def pooled(processes: Sequence[Numbers], tolerance: float, own_times: Sequence[str]) -> Numbers:
+def pooled(
+    processes: Sequence[Numbers], tolerance: float, own_times: Sequence[str] = ()
+) -> Numbers:
     """Their mean, with an interval that says how another process would differ.
 
     A record that was the same in all, or is in the first alone, stays as it is; others have the

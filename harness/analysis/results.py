@@ -14,6 +14,7 @@ import numpy as np
 import pandas as pd
 
 from harness.analysis.combine import Estimate, over_seeds
+from harness.analysis.process_pooling import joined
 from harness.analysis.renew import renewed
 from harness.analysis.validity import stale
 from harness.store.folder import ResultsFolder
@@ -188,8 +189,8 @@ class Results:
         return Stored(trial, row["identity"], labels, "skipped", NOT_RUN)
 
     def arrays(self, trial: str) -> dict[str, np.ndarray]:
-        """The raw arrays of a trial."""
-        return self.stored(trial).arrays
+        """The raw arrays of a trial; those of repeated processes one after another."""
+        return joined(self.stored(trial).arrays)
 
     def counts(self, measure: str, name: str) -> str:
         """Length of an array over all trials of a measure, as "8" or "8 to 12"; "" if none."""

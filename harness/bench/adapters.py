@@ -9,10 +9,13 @@ from types import SimpleNamespace
 import numpy as np
 import torch
 
+from harness.analysis.records import throughput
 from harness.core import registry
 from harness.core.protocol.material import Material
 from harness.core.protocol.method import Budget
+from harness.core.record import Raw, Record
 from harness.materials import registry as materials
+from harness.measures import registry as measures
 from harness.measures.base import Job, Outcome
 from harness.measures.throughput import Throughput
 from harness.mitsuba_runtime import variant
@@ -60,11 +63,11 @@ def run(
         method.fit(material, budget, torch.Generator().manual_seed(0))
         jobs.append(_job(name, method, material, budget, rounds))
     native = _native_times(scene, material, rounds, notify)
-    timed = Throughput().run(jobs, notify)
+    outcomes = Throughput().run(jobs, notify)
+    timed = [_numbers(job, outcome) for job, outcome in zip(jobs, outcomes, strict=True)]
     renders = _render_times(jobs, timed, scene, material, rounds, notify)
     cells = []
-    for job, outcome, seconds in zip(jobs, timed, renders, strict=True):
-        value = {r.metric: r for r in outcome.records}
+    for job, value, seconds in zip(jobs, timed, renders, strict=True):
         sample, pdf = value["samples-per-second"], value["pdf-queries-per-second"]
         ratio = f"{np.median(seconds) / np.median(native):.3g}" if len(seconds) else "too slow"
         cells.append(
@@ -104,10 +107,16 @@ def _job(name: str, method, material: Material, budget: Budget, rounds: int) -> 
         scene=None,
         seed=0,
         generator=torch.Generator().manual_seed(1),
-        settings={"rounds": rounds},
+        settings=measures.settings("throughput", {"rounds": rounds}),
         budget=budget,
         make=lambda: registry.make(name),
     )
+
+
+def _numbers(job: Job, outcome: Outcome) -> dict[str, Record]:
+    """By metric."""
+    raw = Raw(outcome.arrays, outcome.documents, job.settings)
+    return {record.metric: record for record in throughput.numbers(raw).records}
 
 
 def _native_times(
@@ -128,7 +137,7 @@ def _native_times(
 
 def _render_times(
     jobs: list[Job],
-    timed: list[Outcome],
+    timed: list[dict[str, Record]],
     scene,
     material: Material,
     rounds: int,
@@ -142,8 +151,8 @@ def _render_times(
     from harness.rendering.prepared import prepare
 
     prepared, spp = {}, {}
-    for i, (job, outcome) in enumerate(zip(jobs, timed, strict=True)):
-        rate = next(r.value for r in outcome.records if r.metric == "samples-per-second")
+    for i, (job, value) in enumerate(zip(jobs, timed, strict=True)):
+        rate = value["samples-per-second"].value
         if RESOLUTION**2 / rate > LONGEST:
             continue
         prepared[i] = prepare(scene, material, job.method, RESOLUTION)

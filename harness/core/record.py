@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-if TYPE_CHECKING:
-    import numpy as np
+import numpy as np
+from numpy.typing import NDArray
 
 
 @dataclass(frozen=True)
@@ -41,10 +41,14 @@ class Raw:
     (:mod:`harness.analysis.process_pooling`).
     """
 
-    arrays: Mapping[str, np.ndarray]
+    arrays: Mapping[str, NDArray]
     documents: Mapping[str, Any] = field(default_factory=dict)
     settings: Mapping[str, Any] = field(default_factory=dict)
 
     def value(self, name: str) -> float:
         """The array ``name``, which holds a single number."""
         return float(self.arrays[name])
+
+    def floats(self, name: str) -> NDArray:
+        """The array ``name`` in double precision."""
+        return np.asarray(self.arrays[name], float)

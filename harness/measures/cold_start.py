@@ -29,7 +29,7 @@ _ROWS = 1024
 
 
 @dataclass(frozen=True)
-class Cold:
+class ColdStarts:
     """``load`` and ``compile`` seconds of every start, ``peak`` bytes of one sampling call.
 
     ``load``: from the safetensors file to a ready method, its material being there already.
@@ -45,7 +45,7 @@ class Cold:
     size: int
 
 
-def start_cold(
+def cold_starts(
     method: str,
     params: dict[str, Any],
     material: Any,
@@ -53,7 +53,7 @@ def start_cold(
     device: str,
     rows: int,
     starts: int,
-) -> Cold:
+) -> ColdStarts:
     """Load and first call ``starts`` times, then one call of ``rows`` rows for its memory.
 
     ``method`` and ``material`` are as a suite names them.
@@ -61,7 +61,7 @@ def start_cold(
     Raises:
         RuntimeError: the process failed; with the last line that it said.
     """
-    with tempfile.TemporaryDirectory(prefix="harness-cold-") as name:
+    with tempfile.TemporaryDirectory(prefix="harness-cold-start-") as name:
         folder = Path(name)
         ask = {
             "method": method,
@@ -86,7 +86,7 @@ def start_cold(
             said = (done.stderr.strip().splitlines() or [f"exit status {done.returncode}"])[-1]
             raise RuntimeError(f"{method}: the process for a cold start failed: {said}")
         size = (folder / _STATE).stat().st_size if state else 0
-        return Cold(**json.loads((folder / _ANSWER).read_text(encoding="utf-8")), size=size)
+        return ColdStarts(**json.loads((folder / _ANSWER).read_text(encoding="utf-8")), size=size)
 
 
 def _main(folder: Path) -> None:
@@ -126,7 +126,7 @@ def _main(folder: Path) -> None:
             peak = peak_bytes(_sampling(method, inputs(rows)), device)
     except Unsupported as error:
         why = str(error)
-    answer = Cold(load, compiling, peak, why, size=0)
+    answer = ColdStarts(load, compiling, peak, why, size=0)
     found = {key: value for key, value in asdict(answer).items() if key != "size"}
     (folder / _ANSWER).write_text(json.dumps(found), encoding="utf-8")
 

@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-from scipy import stats
 
-from harness.core.record import Record
 from harness.measures.base import Job, Measure, Outcome
 from harness.measures.base import Settings as BaseSettings
+from harness.measures.compact import single
 from harness.measures.images import checked, reference, too_slow
 from harness.rendering.prepared import prepare
-from harness.stats.intervals import median_interval
 
 
 class Convergence(Measure):
@@ -51,10 +48,10 @@ class Convergence(Measure):
         settings = self.Settings(**jobs[0].settings)
         slow = [too_slow(j, settings.resolution, 1, settings.patience) for j in jobs]
         fit = [job for job, reason in zip(jobs, slow, strict=True) if not reason]
-        found = iter(self._race(fit, settings, notify))
+        found = iter(self._together(fit, settings, notify))
         return [Outcome("timeout", reason) if reason else next(found) for reason in slow]
 
-    def _race(
+    def _together(
         self, jobs: list[Job], settings: Settings, notify: Callable[[str], None]
     ) -> list[Outcome]:
         if not jobs:
@@ -93,43 +90,10 @@ class _Level(NamedTuple):
 
 
 def _outcome(levels: list[_Level]) -> Outcome:
-    spp = np.array([level.spp for level in levels], float)
-    errors = np.array([level.errors for level in levels])
-    times = np.array([median_interval(level.seconds) for level in levels])
-    mse, n = errors.mean(1), errors.shape[1]
-    half = (
-        stats.t.ppf(0.975, n - 1) * errors.std(1, ddof=1) / math.sqrt(n)
-        if n > 1
-        else np.full_like(mse, math.nan)
+    return Outcome(
+        arrays={
+            "spp": np.array([level.spp for level in levels]),
+            "all_seconds": single([level.seconds for level in levels]),
+            "errors": single([level.errors for level in levels]),
+        }
     )
-    arrays = {
-        "spp": spp,
-        "seconds": times[:, 0],
-        "seconds_low": times[:, 1],
-        "seconds_high": times[:, 2],
-        "all_seconds": np.array([level.seconds for level in levels]),
-        "mse": mse,
-        "mse_low": mse - half,
-        "mse_high": mse + half,
-        "errors": errors,
-    }
-    records = [
-        Record(
-            "mse-last",
-            float(mse[-1]),
-            float(mse[-1] - half[-1]),
-            float(mse[-1] + half[-1]),
-            "radiance^2",
-        )
-    ]
-    # A logarithm needs an error above the reference's noise; levels below it say nothing.
-    usable = mse > 0
-    if usable.sum() >= 3:
-        fit = stats.linregress(np.log(spp[usable]), np.log(mse[usable]))
-        reach = stats.t.ppf(0.975, int(usable.sum()) - 2) * fit.stderr
-        records.append(
-            Record(
-                "slope", float(fit.slope), float(fit.slope - reach), float(fit.slope + reach), "1"
-            )
-        )
-    return Outcome(records=records, arrays=arrays)

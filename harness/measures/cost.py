@@ -4,32 +4,37 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from harness.core.protocol.errors import BudgetExceeded
-from harness.core.record import Record
 from harness.measures.adapter_smoke_test import state_of
 from harness.measures.base import Job, Measure, Outcome
-from harness.measures.cold_start import Cold, start_cold
+from harness.measures.cold_start import ColdStarts, cold_starts
+from harness.measures.compact import single
 from harness.measures.images import checked, too_slow
 from harness.measures.renders import Entrant, RenderSettings, enter
-from harness.measures.throughput import Batch, BatchSettings, prepare_batch, rows_of
+from harness.measures.throughput import (
+    Batch,
+    BatchSettings,
+    prepare_batch,
+    rows_of,
+    times_of_calls,
+)
 from harness.measures.timing import Contender, Timings, interleave
 from harness.rendering.meter import PARTS, Meter, metered
-from harness.stats.intervals import Interval, mean_interval, median_interval
 
 _EACH = 4
 """Contenders of one method: sample, pdf, bare render, metered render."""
 _FIT = {
-    "fit-seconds": "fit-seconds",
-    "data-seconds": "fit-data-seconds",
-    "optimise-seconds": "fit-optimise-seconds",
-    "bake-seconds": "fit-bake-seconds",
+    "fit-seconds": "fit_seconds",
+    "data-seconds": "fit_data_seconds",
+    "optimise-seconds": "fit_optimise_seconds",
+    "bake-seconds": "fit_bake_seconds",
 }
-"""Metrics of the measure ``fit`` and what they are called here."""
+"""Metrics of the measure ``fit`` and the arrays that keep them here."""
 
 
 class Cost(Measure):
@@ -37,13 +42,13 @@ class Cost(Measure):
 
     *Seconds* per million samples and pdf queries come from one batch, as ``throughput`` takes
     them; those per sample per pixel from renders that fill a slice, in rounds that all
-    methods share; ratios to the baseline are of the same turn, in which the two alternate.
+    methods share; ratios to the baseline are of the same round, in which the two alternate.
 
     *Parts*: in a metered render (:class:`~harness.rendering.meter.Meter`) every call of the
     method and of the material is forced by itself. ``sampling-share`` is the method's sample
     and pdf, ``material-share`` the material's evaluation, ``rest-share`` everything else; each
     over the metered render's own time. Seconds per spp of a part are its share times the bare
-    render's seconds of the same turn. ``metering-overhead`` is metered over bare less one:
+    render's seconds of the same round. ``metering-overhead`` is metered over bare less one:
     what the split is uncertain by. ``measuring-overhead`` is the rest of the measuring over
     the renders and calls themselves, of all methods together.
 
@@ -61,19 +66,13 @@ class Cost(Measure):
     timed = True
 
     class Settings(BatchSettings, RenderSettings):
-        """``starts`` cold starts, in the first sitting; 0 leaves out load, compile and peak."""
+        """``starts`` cold starts, in the first process; 0 leaves out load, compile and peak."""
 
         rounds: int = 12
         starts: int = 3
 
-    own_times: ClassVar[tuple[str, ...]] = (
-        "seconds-per-million-samples",
-        "seconds-per-million-pdf",
-        "seconds-per-spp",
-    )
-
     @classmethod
-    def later_sittings(cls, first: Outcome) -> dict[str, Any]:
+    def later_processes(cls, first: Outcome) -> dict[str, Any]:
         """See :class:`Measure`."""
         spp = first.arrays.get("round_spp")
         sizes = rows_of(first) | ({} if spp is None else {"spp": int(spp)})
@@ -114,11 +113,11 @@ class Cost(Measure):
         timings = interleave(contenders, settings, notify)
         outcomes = []
         for i, subject in enumerate(subjects):
-            cold = None
+            starts = None
             if settings.starts:
                 notify(f"{subject.job.method.name}: cold starts")
-                cold = subject.cold(settings.starts)
-            outcomes.append(subject.outcome(timings, _EACH * i, cold))
+                starts = subject.cold_starts(settings.starts)
+            outcomes.append(subject.outcome(timings, _EACH * i, starts))
         return outcomes
 
 
@@ -129,8 +128,8 @@ class _Subject:
     job: Job
     batch: Batch
     bare: Entrant
-    meters: dict[int, tuple[float, Meter]] = field(default_factory=dict)
-    """By round: seconds of the metered render, and what the meter says."""
+    meters: dict[int, Meter] = field(default_factory=dict)
+    """What the meter says, by round."""
 
     def contenders(self, first: int, base: int | None) -> list[Contender]:
         """Sample, pdf, bare and metered render; the rival of the last is the bare one."""
@@ -145,13 +144,13 @@ class _Subject:
         prepared, seed = self.bare.prepared, 5000 * (self.job.seed + 1) + number
         with metered(prepared.bsdf) as meter:
             rendered = checked(prepared.render(self.bare.spp, seed), self.job)
-        self.meters[number] = rendered.seconds, meter
+        self.meters[number] = meter
         return rendered.seconds
 
-    def cold(self, starts: int) -> Cold:
+    def cold_starts(self, starts: int) -> ColdStarts:
         """In a fresh process."""
         trial = self.job.trial
-        return start_cold(
+        return cold_starts(
             trial.method_name,
             trial.params,
             trial.material_spec,
@@ -161,95 +160,49 @@ class _Subject:
             starts,
         )
 
-    def outcome(self, timings: Timings, first: int, cold: Cold | None) -> Outcome:
+    def outcome(self, timings: Timings, first: int, starts: ColdStarts | None) -> Outcome:
         """Everything that is known in the end."""
-        sample, pdf, bare, metering = range(first, first + _EACH)
-        shares = self._shares()
-        mark, reason = timings.mark(sample, pdf, bare, metering)
-        records = [
-            Record("batch", float(self.batch.rows), unit="1"),
-            Record("seconds-per-million-samples", *_times(timings.median(sample), 1e6), "s"),
-            Record("seconds-per-million-pdf", *_times(timings.median(pdf), 1e6), "s"),
-            Record("sample-time-ratio", *timings.ratio(sample), "1"),
-            Record("pdf-time-ratio", *timings.ratio(pdf), "1"),
-            Record("seconds-per-spp", *timings.median(bare), "s"),
-            Record("time-ratio", *timings.ratio(bare), "1"),
-        ]
-        # Of the renders that alternated with the metered ones.
-        same_turn = timings.rival_seconds(metering)
-        for part, share in shares.items():
-            records.append(Record(f"{part}-share", *median_interval(share), "1"))
-            seconds = median_interval(share * same_turn)
-            records.append(Record(f"{part}-seconds-per-spp", *seconds, "s"))
-        over = timings.ratio(metering)
-        records += [
-            Record("metering-overhead", *(v - 1 for v in over), "1"),
-            Record("measuring-overhead", timings.overhead(), unit="1"),
-        ]
-        counts = self._counts()
-        records += [Record(key, *mean_interval(value), "1/spp") for key, value in counts.items()]
-        records += [
-            Record(name, self.job.fit_records[metric], unit="s")
-            for metric, name in _FIT.items()
-            if metric in self.job.fit_records
-        ]
+        bare, metering = first + 2, first + 3
         arrays = {
-            "sample_seconds": timings.seconds(sample) * self.batch.rows,
-            "pdf_seconds": timings.seconds(pdf) * self.batch.rows,
-            "seconds": timings.seconds(bare),
-            "batch_variance": np.array(self.bare.errors),
-            "baseline_seconds": timings.rival_seconds(bare),
-            "metered_seconds": timings.seconds(metering),
-            "bare_of_metered_seconds": same_turn,
+            **times_of_calls(timings, first, self.batch),
+            "seconds": single(timings.seconds(bare)),
+            "baseline_seconds": single(timings.rival_seconds(bare)),
+            "batch_variance": single(self.bare.errors),
             "round_spp": np.array(self.bare.spp),
-            "loadavg": timings.loadavg,
-            **{f"{part}_share": share for part, share in shares.items()},
+            "pixels": np.array(self.bare.prepared.mask.size),
+            "metered_seconds": single(timings.seconds(metering)),
+            "bare_of_metered_seconds": single(timings.rival_seconds(metering)),
+            "wall_seconds": np.array(timings.wall),
+            "timed_seconds": np.array(timings.timed),
+            **self._metered_parts(),
         }
-        if cold is not None:
-            told, arrays["load_seconds"], arrays["compile_seconds"] = _cold_records(cold)
-            records += told
-            reason = "; ".join(filter(None, [reason, cold.no_peak]))
-        return Outcome(reason=reason, records=[*records, mark], arrays=arrays)
+        for metric, name in _FIT.items():
+            if metric in self.job.fit_records:
+                arrays[name] = np.array(self.job.fit_records[metric])
+        documents = {}
+        if starts is not None:
+            arrays["load_seconds"] = single(starts.load)
+            arrays["compile_seconds"] = single(starts.compile)
+            arrays["size_bytes"] = np.array(starts.size)
+            if starts.peak is not None:
+                arrays["peak_bytes"] = np.array(starts.peak)
+            if starts.no_peak:
+                documents["no_peak"] = starts.no_peak
+        return Outcome(arrays=arrays, documents=documents)
 
-    def _shares(self) -> dict[str, NDArray]:
-        """Of the metered renders [rounds]: the method's part, the material's, and the rest."""
-        found = [self.meters[number] for number in sorted(self.meters)]
-        spent = {
-            part: np.array([meter.parts[part].seconds / total for total, meter in found])
-            for part in PARTS
-        }
-        sampling = spent["sample"] + spent["pdf"]
-        return {
-            "sampling": sampling,
-            "material": spent["eval"],
-            "rest": 1 - sampling - spent["eval"],
-        }
+    def _metered_parts(self) -> dict[str, NDArray]:
+        """Of the metered renders [rounds]: seconds per sample per pixel of each part, and counts.
 
-    def _counts(self) -> dict[str, NDArray]:
-        """Per sample per pixel [rounds]."""
-        meters = [self.meters[number][1] for number in sorted(self.meters)]
-        spp, pixels = self.bare.spp, self.bare.prepared.mask.size
-        found = {
-            "rays": [pixels + m.directions / spp for m in meters],
-            "shading-points": [m.points / spp for m in meters],
+        Counts are those of a whole render.
+        """
+        meters = [self.meters[number] for number in sorted(self.meters)]
+        found: dict[str, NDArray] = {
+            "metered_directions": np.array([m.directions for m in meters]),
+            "metered_points": np.array([m.points for m in meters]),
         }
         for part in PARTS:
-            found[f"{part}-calls"] = [m.parts[part].calls / spp for m in meters]
-            found[f"{part}-rows"] = [m.parts[part].rows / spp for m in meters]
-        return {key: np.array(value) for key, value in found.items()}
-
-
-def _cold_records(cold: Cold) -> tuple[list[Record], NDArray, NDArray]:
-    load, compiling = np.array(cold.load), np.array(cold.compile)
-    records = [
-        Record("load-seconds", *median_interval(load), "s"),
-        Record("compile-seconds", *median_interval(compiling), "s"),
-        Record("size-bytes", float(cold.size), unit="B"),
-    ]
-    if cold.peak is not None:
-        records.append(Record("peak-bytes", float(cold.peak), unit="B"))
-    return records, load, compiling
-
-
-def _times(interval: Interval, factor: float) -> Interval:
-    return Interval(*(factor * v for v in interval))
+            tallies = [m.parts[part] for m in meters]
+            found[f"metered_{part}_seconds"] = single([t.seconds / self.bare.spp for t in tallies])
+            found[f"metered_{part}_calls"] = np.array([t.calls for t in tallies])
+            found[f"metered_{part}_rows"] = np.array([t.rows for t in tallies])
+        return found

@@ -1,4 +1,4 @@
-"""Rendering to a deadline: chunks in turn, the last one sized to end on time."""
+"""Rendering to a deadline: in chunks, the last one sized to end on time."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ CHUNKS = 10
 """Chunks to a deadline: enough to correct the speed, few enough to stay large."""
 
 
-class Runner:
+class DeadlineRender:
     """One method on its way to ``deadline`` seconds of rendering.
 
     ``render(spp, seed)`` gives a finished pass; ``per_spp`` is the speed known beforehand, in
@@ -70,9 +70,9 @@ class Runner:
         return True
 
 
-def race(runners: Sequence[Runner]) -> None:
-    """All to their deadlines, a chunk each in turn, so that a slow spell hits all alike."""
-    going = list(runners)
+def render_to_deadlines(renders: Sequence[DeadlineRender]) -> None:
+    """All to their deadlines, a chunk each one after the other: a slow spell hits all alike."""
+    going = list(renders)
     while going:
-        going = [runner for runner in going if runner.step()]
+        going = [one for one in going if one.step()]
         going = going[1:] + going[:1]

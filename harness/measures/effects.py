@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from harness.core.protocol.errors import BudgetExceeded
-from harness.core.record import Record
 from harness.effects.offer import offer
 from harness.effects.variants import explicit, lit, name_of, with_one_more, without
 from harness.measures.base import Job, Measure, Outcome
+from harness.measures.compact import single
 from harness.measures.flip import exposures, flip
 from harness.measures.images import checked, too_slow
 from harness.measures.renders import RenderSettings
@@ -22,13 +22,9 @@ from harness.measures.timing import Contender, Timings, interleave, settle
 from harness.rendering.meter import COUNTS, Meter
 from harness.rendering.passes import Pass
 from harness.rendering.prepared import Prepared, prepare
-from harness.stats.difference import difference
-from harness.stats.intervals import median_interval, speed_up
+from harness.stats.difference import power, products
 
 FULL = "as called for"
-NEEDED, NEGLIGIBLE, MISSING, SPARE = "needed", "negligible", "missing", "not needed"
-VERDICTS = (NEGLIGIBLE, NEEDED, MISSING, SPARE)
-"""By the number that is recorded. The last two are of effects that the scene does not call for."""
 
 
 class Effects(Measure):
@@ -36,8 +32,8 @@ class Effects(Measure):
 
     The scene is rendered as it is, once without each effect that it calls for (a material's own
     effects and colour among them), and once with each effect more that it and the material
-    could give. All take turns, one render of each a round, of the same samples and from the same
-    random numbers; a render is both a timing and one of the images that the differences are
+    could give. All are rendered once in each round, of the same samples and from the same random
+    numbers; a render is both a timing and one of the images that the differences are
     estimated from. What two images have of the same noise does not tell them apart. For
     ``indirect`` the image of direct light is rendered once more, untimed, by a path tracer, whose
     random numbers are those of more bounces.
@@ -74,7 +70,7 @@ class Effects(Measure):
         tolerance: Annotated[float, Field(gt=0)] = 0.01
 
     def run(self, jobs: list[Job], notify: Callable[[str], None]) -> list[Outcome]:
-        """See :class:`Measure`. Methods are not compared here; each has its turn."""
+        """See :class:`Measure`. Methods are not compared here: one after the other."""
         return [self._one(job, self.Settings(**job.settings), notify) for job in jobs]
 
     def _one(self, job: Job, settings: Settings, notify: Callable[[str], None]) -> Outcome:
@@ -93,7 +89,7 @@ class Effects(Measure):
         for shot in shots:
             notify(f"{shot.name}: counting")
             shot.count()
-        return _outcome(job, shots, timings, settings)
+        return _outcome(shots, timings)
 
 
 def variants_of(job: Job) -> dict[str, tuple[str, ...]]:
@@ -166,7 +162,8 @@ class _Shot:
         meter = Meter()
         done = self._prepare(meter=meter).render(2, 5)
         rays = done.mean.size * done.spp
-        self.counts = {name: n / rays for name, n in meter.counts.items()}
+        found = {name: n / rays for name, n in meter.counts.items()}
+        self.counts = {**dict.fromkeys(COUNTS, 0.0), **found}
 
     @property
     def images(self) -> NDArray:
@@ -188,84 +185,51 @@ class _Shot:
         return np.array([p.variance.mean() for p in self.passes])
 
 
-def _outcome(job: Job, shots: list[_Shot], timings: Timings, settings: Effects.Settings) -> Outcome:
+def _outcome(shots: list[_Shot], timings: Timings) -> Outcome:
     whole = shots[0]
-    halves = whole.half(0), whole.half(1)
-    parameters = exposures(whole.images.mean(0))
-    power = float(np.square(whole.images.mean(0)).mean())
-    # A half's variance is twice that of the whole, and there are two of them.
-    noise = 4 * float(whole.images.var(0, ddof=1).mean()) / len(whole.passes) / power
-    records = [
-        Record("seconds-per-spp", *timings.median(0), "s"),
-        Record("noise", noise, unit="1"),
-        Record("flip-noise", flip(*halves, parameters)[0], unit="1"),
-        Record("tolerance", settings.tolerance, unit="1"),
-    ]
-    images = {"full": whole.images.mean(0)}
-    arrays = {"seconds": timings.seconds(0), "variance": whole.variance}
-    called = {name_of(text) for text in whole.effects}
-    if len(lights := [n for n in called if not lit([t for t in whole.effects if t != n])]):
-        records += _only_light(lights[0], whole, parameters)
+    full = whole.images.mean(0)
+    parameters = exposures(full)
+    called = [name_of(text) for text in whole.effects]
+    images = {"full": full}
+    arrays = {
+        "seconds": single(timings.seconds(0)),
+        "variance": single(whole.variance),
+        "products": products(whole.images),
+        "flip-noise": np.array(flip(whole.half(0), whole.half(1), parameters)[0]),
+    }
+    light = next((n for n in called if not lit([t for t in whole.effects if t != n])), "")
+    if light:
+        arrays[f"{light}.flip"] = np.array(flip(np.zeros_like(full), full, parameters)[0])
     for index, shot in enumerate(shots[1:], 1):
-        found, shown = _compare(shot, whole, timings, index, parameters, settings.tolerance, called)
-        records += found
+        found, shown = _compared(shot, whole, timings, index, parameters)
+        arrays |= {f"{shot.name}.{what}": values for what, values in found.items()}
         images[shot.name], images[f"{shot.name}.flip"] = shot.images.mean(0), shown
-        arrays[f"{shot.name}.seconds"] = timings.seconds(index)
-        arrays[f"{shot.name}.variance"] = shot.variance
-    return Outcome(records=records, arrays=arrays, images=images)
+    about = {
+        "called": called,
+        "only_light": light,
+        "compared": [shot.name for shot in shots[1:]],
+        "counts": {"full": whole.counts, **{shot.name: shot.counts for shot in shots[1:]}},
+    }
+    return Outcome(arrays=arrays, images=images, documents={"effects": about})
 
 
-def _only_light(name: str, whole: _Shot, parameters: dict) -> list[Record]:
-    """Without it the image is black, and nothing is rendered to find that out."""
-    black = np.zeros_like(whole.passes[0].rgb)
-    return [
-        Record(f"{name}.relmse", 1.0, 1.0, 1.0, "1"),
-        Record(f"{name}.flip", flip(black, whole.images.mean(0), parameters)[0], unit="1"),
-        Record(f"{name}.verdict", float(VERDICTS.index(NEEDED)), unit="1"),
-    ]
+def _compared(
+    shot: _Shot, whole: _Shot, timings: Timings, index: int, parameters: dict
+) -> tuple[dict[str, NDArray], NDArray]:
+    """Raw arrays of one effect, and FLIP's map as a picture [H, W, 3].
 
-
-def _compare(
-    shot: _Shot,
-    whole: _Shot,
-    timings: Timings,
-    index: int,
-    parameters: dict,
-    tolerance: float,
-    called: set[str],
-) -> tuple[list[Record], NDArray]:
-    """The records of one effect, and FLIP's map as a picture [H, W, 3]."""
-    name, there = shot.name, shot.name in called
-    sign = 1 if there else -1
-    saved = sign * (timings.rival_seconds(index) - timings.seconds(index))
-    images = (
-        (shot.paired_images, whole.paired_images)
-        if name == "indirect"
-        else (shot.images, whole.images)
-    )
-    apart = difference(*images)
-    mean, shown = flip(*(stack.mean(0) for stack in images), parameters)
-    matters = apart.value.value > tolerance**2 and apart.value.low > 0
-    unclear = apart.value.low < tolerance**2 < apart.value.high
-    records = [
-        Record(f"{name}.seconds", *median_interval(saved), "s"),
-        Record(f"{name}.relmse", *apart.value, "1"),
-        Record(f"{name}.flip", mean, unit="1"),
-    ]
-    if name == "emitter-sampling":
-        off, on = (shot, whole) if there else (whole, shot)
-        times = timings.seconds(index), timings.rival_seconds(index)
-        gain = speed_up(off.variance, on.variance, *(times if there else times[::-1]))
-        records.append(Record(f"{name}.gain", *gain, "1"))
-        if not matters:
-            matters, unclear = gain.value > 1, gain.low < 1 < gain.high
-    verdict = (NEEDED if matters else NEGLIGIBLE) if there else MISSING if matters else SPARE
-    records += [
-        Record(f"{name}.verdict", float(VERDICTS.index(verdict)), unit="1"),
-        Record(f"{name}.unclear", float(unclear), unit="1"),
-    ]
-    kinds = dict.fromkeys([*COUNTS, *shot.counts, *whole.counts])
-    for kind in kinds:
-        more = sign * (whole.counts.get(kind, 0.0) - shot.counts.get(kind, 0.0))
-        records.append(Record(f"{name}.{kind}", more, unit="1/sample"))
-    return records, np.repeat(shown[..., None], 3, -1)
+    ``products`` [rounds, rounds] are all that :func:`~harness.stats.difference.difference_of` needs
+    of the images without and with it.
+    """
+    paired = shot.name == "indirect"
+    mine, full = (one.paired_images if paired else one.images for one in (shot, whole))
+    mean, shown = flip(mine.mean(0), full.mean(0), parameters)
+    arrays = {
+        "seconds": single(timings.seconds(index)),
+        "full_seconds": single(timings.rival_seconds(index)),
+        "variance": single(shot.variance),
+        "products": products(mine - full),
+        "power": np.array(power(full)),
+        "flip": np.array(mean),
+    }
+    return arrays, np.repeat(shown[..., None], 3, -1)

@@ -5,21 +5,22 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
+from numpy.typing import NDArray
 
 from harness.core.protocol.errors import BudgetExceeded
-from harness.core.record import Record
 from harness.measures.base import Job, Measure, Outcome
 from harness.measures.base import Settings as BaseSettings
 from harness.measures.batches import LEAST, LEAST_SPP, Batches, render_batches
+from harness.measures.compact import single
 from harness.measures.images import reference, too_slow
 from harness.rendering.prepared import prepare
-from harness.stats.intervals import mean_interval
-from harness.stats.ztest import Agreement, agreement
+from harness.stats.blocks import Blocks
+from harness.stats.ztest import agreement_of_blocks
 
 DOUBT = 1e-3
-"""p-value below which an image is looked at again; what says "biased" is lower."""
+"""p-value below which an image is rendered anew; what says "biased" is lower."""
 LONGER = 8
-"""Times as many samples in the second look."""
+"""Times as many samples in the second render."""
 
 
 class EqualSpp(Measure):
@@ -32,8 +33,12 @@ class EqualSpp(Measure):
     Mitsuba's own sampler with light sampling: small where they differ by more than noise, or
     where few samples missed what rare heavy ones carry, mean and variance alike. So an image
     that differs (``first-bias-p`` < ``DOUBT``) is rendered anew, and the reference too, with
-    ``LONGER`` times the samples: all numbers are of those. Which is chosen by the first look
+    ``LONGER`` times the samples: all numbers are of those. Which is chosen by the first render
     alone: the second has not seen its samples, and a wrong density is all the plainer in more.
+
+    Of both images the moments of blocks are kept (:class:`~harness.stats.blocks.Blocks`), in
+    ``blocks`` and ``reference_blocks``, and those of the first render in ``first_...`` where there
+    was a second.
     """
 
     name = "equal-spp"
@@ -61,7 +66,8 @@ class EqualSpp(Measure):
             raise BudgetExceeded(reason)
         prepared = prepare(job.scene, job.material, job.method, settings.resolution)
 
-        def look(times: int, seed: int) -> tuple[Batches, Agreement]:
+        def render(times: int, seed: int) -> tuple[Batches, list[Blocks]]:
+            """The batches, and the blocks of their mean and of the reference."""
             done = render_batches(
                 prepared,
                 job,
@@ -73,30 +79,21 @@ class EqualSpp(Measure):
             )
             notify(f"{job.material.name}: reference image")
             truth = reference(job, settings.resolution, times * settings.reference_spp)
-            variances = [done.variance_of_mean, truth.variance / truth.spp]
-            return done, agreement([done.mean, truth.mean], variances, done.mask)[0]
+            return done, [
+                Blocks.of(done.mean, done.variance_of_mean, done.mask),
+                Blocks.of(truth.mean, truth.variance / truth.spp, done.mask),
+            ]
 
         seed = 1000 * (job.seed + 1)
-        done, found = look(1, seed)
-        first_p = found.p_value
-        if first_p < DOUBT:
-            done, found = look(LONGER, seed + 500)
-        mean, variance = done.mean, done.errors
-        power = float(np.square(mean[done.mask]).mean())
-        interval = mean_interval(variance)
-        records = [
-            Record("variance", *interval, "radiance^2"),
-            Record("relative-variance", *(v / power for v in interval), "1"),
-            Record("spp", float(done.spp), unit="1"),
-            Record("bias", found.difference, unit="1"),
-            Record("bias-z", found.global_score, unit="1"),
-            Record("bias-p", found.p_value, unit="1"),
-            Record("first-bias-p", first_p, unit="1"),
-        ]
-        arrays = {
-            "batch_variance": variance,
-            "mean": mean.astype(np.float32),
-            "variance_of_mean": done.variance_of_mean.astype(np.float32),
-            "mask": done.mask,
+        done, blocks = render(1, seed)
+        arrays: dict[str, NDArray] = {}
+        if agreement_of_blocks(blocks)[0].p_value < DOUBT:
+            arrays["first_blocks"], arrays["first_reference_blocks"] = (b.packed() for b in blocks)
+            done, blocks = render(LONGER, seed + 500)
+        arrays["blocks"], arrays["reference_blocks"] = (b.packed() for b in blocks)
+        arrays |= {
+            "pixels": blocks[0].pixels.astype(np.uint16),
+            "batch_variance": single(done.errors),
+            "spp": np.array(done.spp),
         }
-        return Outcome(records=records, arrays=arrays, images={"mean": done.rgb})
+        return Outcome(arrays=arrays, images={"mean": done.rgb})

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from typing import Annotated
 
@@ -16,26 +16,17 @@ from pydantic import Field
 from harness.core.protocol.disk import square_to_disk
 from harness.core.protocol.errors import BudgetExceeded
 from harness.core.protocol.material import Material
-from harness.core.record import Record
 from harness.geometry.shapes import sphere_mesh
 from harness.measures.base import Job, Measure, Outcome
 from harness.measures.base import Settings as BaseSettings
-from harness.measures.batches import LEAST, LEAST_SPP, Batches, render_batches
+from harness.measures.batches import LEAST, LEAST_SPP, render_batches
+from harness.measures.compact import single
 from harness.measures.images import reference, too_slow
 from harness.rendering import misreported
 from harness.rendering.misreported import MisreportedBSDF
 from harness.rendering.prepared import Prepared, prepare
 from harness.scenes.base import Camera, Scene, Sphere
-from harness.stats.intervals import ratio_of_means
-from harness.stats.ztest import Agreement, agreement, holm
-
-CHECKS = ("furnace", "reference", "mis", "mis-reference", "tripled", "tilted")
-"""Metrics of the comparisons, in the order of the tables."""
-RATIOS = ("mis-variance", "tripled-variance", "tilted-variance")
-BLOCK = 16
-ROUNDING = 2.0**-18
-"""Relative error of a mean that single precision explains: some thirty roundings in a row, or
-rays lost at edges between facets (one in a million). It does not average out over pixels."""
+from harness.stats.blocks import Blocks
 
 # Flat facets: with smoothed normals a direction above the shading horizon may lie below the
 # facet, and its light is lost (5e-5 of it). A convex body of flat ones loses none. The corners
@@ -50,20 +41,12 @@ FURNACE = Scene(
 )
 
 
-@dataclass(frozen=True)
-class Image:
-    """Mean luminance [H, W] and the variance of that mean."""
-
-    mean: NDArray
-    variance: NDArray
-
-
 class ImageChecks(Measure):
     """Whether images by the method have the right mean, by BSDF samples alone and with MIS.
 
     Each comparison is that of :mod:`harness.stats.ztest` (blocks of pixels and the whole
-    image). It gives ``CHECK``, the relative difference of the image averages with a 95 %
-    interval, ``CHECK-z`` and ``CHECK-p``:
+    image), of moments of blocks, which are what is stored. It gives ``CHECK``, the relative
+    difference of the image averages with a 95 % interval, ``CHECK-z`` and ``CHECK-p``:
 
     - ``furnace``: in constant light of radiance one a pixel is the albedo, that is one for a
       white Lambertian surface, else the reference's pixel (a long render that the method
@@ -124,22 +107,18 @@ class ImageChecks(Measure):
             for number, (name, prepared) in enumerate(strategies.items())
         }
         notify(f"{job.material.name}: reference images")
-        compared = _compared(job, settings, {k: _image(b) for k, b in images.items()})
-        records = []
-        for name in CHECKS:
-            mask = images["furnace" if name == "furnace" else "bsdf"].mask
-            records += _records(name, compare(*compared[name], mask))
-        p = [r.value for r in records if r.metric.endswith("-p")]
-        records.append(Record("p", float(holm(p).min()), unit="1"))
-        records += _ratios(images)
-        records.append(Record("spp", float(min(b.spp for b in images.values())), unit="1"))
-        arrays = {f"{name}_variance": b.errors for name, b in images.items()}
-        for name, batches in images.items():
-            arrays[f"{name}_mean"] = batches.mean.astype(np.float32)
-            arrays[f"{name}_variance_of_mean"] = batches.scatter_of_mean.astype(np.float32)
-        arrays["mask"] = images["bsdf"].mask
-        arrays["furnace_mask"] = images["furnace"].mask
-        return Outcome(records=records, arrays=arrays, images={k: b.rgb for k, b in images.items()})
+        blocks = {
+            name: Blocks.of(done.mean, done.scatter_of_mean, done.mask)
+            for name, done in images.items()
+        }
+        masks = images["furnace"].mask, images["bsdf"].mask
+        blocks["furnace_reference"], blocks["reference"] = _references(job, settings, *masks)
+        arrays = {f"{name}_blocks": one.packed() for name, one in blocks.items()}
+        arrays |= {f"{name}_variance": single(done.errors) for name, done in images.items()}
+        for name, one in (("pixels", blocks["bsdf"]), ("furnace_pixels", blocks["furnace"])):
+            arrays[name] = one.pixels.astype(np.uint16)
+        arrays["spp"] = np.array(min(done.spp for done in images.values()))
+        return Outcome(arrays=arrays, images={k: done.rgb for k, done in images.items()})
 
 
 def is_white(material: Material, generator: torch.Generator, device: str = "cpu") -> bool:
@@ -150,19 +129,8 @@ def is_white(material: Material, generator: torch.Generator, device: str = "cpu"
     return bool(((f * math.pi - 1).abs() < 1e-5).all())
 
 
-def compare(image: Image, expected: Image, mask: NDArray[np.bool_]) -> Agreement:
-    """``image`` against ``expected``, independent of it.
-
-    Both may be free of noise, yet not of rounding: :data:`ROUNDING` enters as an error that a
-    block's average has, so a pixel has ``BLOCK`` times as much.
-    """
-    rounding = (ROUNDING * BLOCK * expected.mean) ** 2
-    variances = [image.variance, expected.variance + rounding]
-    return agreement([image.mean, expected.mean], variances, mask, BLOCK)[0]
-
-
 def _strategies(job: Job, resolution: int) -> dict[str, Callable[[], Prepared]]:
-    """The five images of the method; each is built when its turn comes."""
+    """The five images of the method; each is built when it is rendered."""
     make = partial(prepare, material=job.material, method=job.method, resolution=resolution)
     misled = {
         f.__name__: partial(MisreportedBSDF, factor=f)
@@ -176,65 +144,20 @@ def _strategies(job: Job, resolution: int) -> dict[str, Callable[[], Prepared]]:
     }
 
 
-def _compared(
-    job: Job, settings: ImageChecks.Settings, images: dict[str, Image]
-) -> dict[str, tuple[Image, Image]]:
-    """Image and expected image of every check."""
+def _references(
+    job: Job,
+    settings: ImageChecks.Settings,
+    furnace_mask: NDArray[np.bool_],
+    mask: NDArray[np.bool_],
+) -> tuple[Blocks, Blocks]:
+    """What the furnace and the trial's scene should show."""
 
-    def long(scene: object) -> Image:
+    def long(scene: object, chosen: NDArray[np.bool_]) -> Blocks:
         at = replace(job, scene=scene)
         done = reference(at, settings.resolution, settings.reference_spp)
-        return Image(done.mean, done.variance / done.spp)
+        return Blocks.of(done.mean, done.variance / done.spp, chosen)
 
     if is_white(job.material, job.generator, job.budget.device):
-        ones = np.ones_like(images["furnace"].mean)
-        furnace = Image(ones, 0 * ones)
-    else:
-        furnace = long(FURNACE)
-    truth = long(job.scene)
-    return {
-        "furnace": (images["furnace"], furnace),
-        "reference": (images["bsdf"], truth),
-        "mis": (images["mis"], images["bsdf"]),
-        "mis-reference": (images["mis"], truth),
-        "tripled": (images["tripled"], images["mis"]),
-        "tilted": (images["tilted"], images["mis"]),
-    }
-
-
-def _image(batches: Batches) -> Image:
-    return Image(batches.mean, batches.scatter_of_mean)
-
-
-def _records(name: str, found: Agreement) -> list[Record]:
-    records = [
-        Record(f"{name}-z", found.global_score, unit="1"),
-        Record(f"{name}-p", found.p_value, unit="1"),
-    ]
-    # Relative to a black image nothing is a number; its p-value is there all the same.
-    if math.isfinite(found.difference):
-        half = 1.96 * found.difference_error
-        low, high = found.difference - half, found.difference + half
-        records.insert(0, Record(name, found.difference, low, high, "1"))
-    return records
-
-
-def _ratios(images: dict[str, Batches]) -> list[Record]:
-    """Variance with MIS over that without, and of misled MIS over that of MIS."""
-    pairs = zip(RATIOS, (("mis", "bsdf"), ("tripled", "mis"), ("tilted", "mis")), strict=True)
-    records = []
-    for metric, names in pairs:
-        over, under = (images[n] for n in names)
-        resolved = _resolved(over), _resolved(under)
-        if all(resolved):
-            records.append(Record(metric, *ratio_of_means(over.errors, under.errors), "1"))
-        elif any(resolved):
-            # One of them is exact.
-            records.append(Record(metric, math.inf if resolved[0] else 0.0, unit="1"))
-    return records
-
-
-def _resolved(batches: Batches) -> bool:
-    """Whether the variance stands out of the rounding of the moments it is the difference of."""
-    power = float(np.square(batches.mean[batches.mask]).mean())
-    return bool((batches.errors > ROUNDING * power).all())
+        ones = np.ones(furnace_mask.shape)
+        return Blocks.of(ones, 0 * ones, furnace_mask), long(job.scene, mask)
+    return long(FURNACE, furnace_mask), long(job.scene, mask)

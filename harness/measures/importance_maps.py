@@ -10,15 +10,14 @@ import torch
 from pydantic import Field
 
 from harness.core.protocol.errors import Unsupported
-from harness.core.record import Record
 from harness.importance_maps.maps import ImportanceMap, make_map
 from harness.importance_maps.quality import binned_error, coarse, gradients, histogram, stratified
 from harness.importance_maps.slices import Slice, slices_of
 from harness.importance_maps.transport import grid
 from harness.measures.base import Job, Measure, Outcome
 from harness.measures.base import Settings as BaseSettings
+from harness.measures.compact import single
 from harness.stats.chisquare import chi_square
-from harness.stats.intervals import mean_interval
 
 METRICS = ("binned-error", "gradient-mean", "gradient-p99", "cost", "evenness")
 _BINS = 16
@@ -82,17 +81,12 @@ class ImportanceMaps(Measure):
                 shown["map"].append(maps[-1].wo.astype(np.float32))
                 shown["binned"].append(histogram(points, settings.bins * 2).astype(np.float32))
                 shown["target"].append(coarse(slice_.mass, settings.bins * 2).astype(np.float32))
-        arrays = {name.replace("-", "_"): np.array(values) for name, values in found.items()}
-        records = [
-            Record(f"{name}-{n}", *mean_interval(arrays[name.replace("-", "_")][:, i]), "1")
-            for name in METRICS
-            for i, n in enumerate(settings.resolutions)
-        ]
+        arrays = {name.replace("-", "_"): single(values) for name, values in found.items()}
         arrays |= {name: np.array(images) for name, images in shown.items()}
-        arrays["spread"] = np.array([s.spread for s in slices])
+        arrays["spread"] = single([s.spread for s in slices])
         arrays["resolutions"] = np.array(settings.resolutions)
         arrays["condition"] = condition.cpu()[lit].numpy()
-        return Outcome(records=records, arrays=arrays)
+        return Outcome(arrays=arrays)
 
 
 def _measured(

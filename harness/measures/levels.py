@@ -12,17 +12,15 @@ from skimage.metrics import structural_similarity
 
 from harness.core.protocol.disk import square_to_disk
 from harness.core.protocol.errors import Unsupported
-from harness.core.record import Record
 from harness.materials.neural.material import NeuralMaterial
 from harness.measures.base import Job, Measure, Outcome
 from harness.measures.base import Settings as BaseSettings
+from harness.measures.compact import single
 from harness.measures.flip import exposures, flip
 from harness.microgeometry import descriptions, preview, queries
 from harness.nets.mlp import count_parameters
-from harness.stats.intervals import mean_interval, median_interval
 
 METRICS = ("mse", "flip", "ssim")
-_OVER_VIEWS = {"mse": median_interval, "flip": mean_interval, "ssim": mean_interval}
 
 
 class Levels(Measure):
@@ -72,14 +70,8 @@ class Levels(Measure):
                     images[f"truth-{level}"], images[f"neural-{level}"] = truth, ours
             for metric, column in zip(METRICS, zip(*values, strict=True), strict=True):
                 found[metric].append(np.array(column))
-        records = [
-            Record(f"{metric}-{level}", *_OVER_VIEWS[metric](column), "1")
-            for metric, columns in found.items()
-            for level, column in enumerate(columns)
-        ]
-        records += sizes(material)
-        arrays = {metric: np.stack(columns) for metric, columns in found.items()}
-        return Outcome(records=records, arrays=arrays, images=images)
+        arrays = {metric: single(np.stack(columns)) for metric, columns in found.items()}
+        return Outcome(arrays={**arrays, **sizes(material)}, images=images)
 
     @staticmethod
     def _pair(
@@ -125,7 +117,7 @@ def compared(
     return mse, flip(image, truth, exposures(truth))[0], float(ssim)
 
 
-def sizes(material: NeuralMaterial) -> list[Record]:
+def sizes(material: NeuralMaterial) -> dict[str, np.ndarray]:
     """Fitted numbers of the networks and of the textures (NeuMIP, Table 4)."""
     net = material.network
     networks = count_parameters_of(net.decoder)
@@ -134,11 +126,11 @@ def sizes(material: NeuralMaterial) -> list[Record]:
         networks += count_parameters_of(net.offset.network)
         texels += net.offset.texture.numel()
     channels = net.texture.shape[1] + (net.offset.texture.shape[1] if net.offset else 0)
-    return [
-        Record("network-parameters", float(networks), unit="1"),
-        Record("texture-numbers", float(texels), unit="1"),
-        Record("texture-channels", float(channels), unit="1"),
-    ]
+    return {
+        "network_parameters": np.array(networks),
+        "texture_numbers": np.array(texels),
+        "texture_channels": np.array(channels),
+    }
 
 
 def count_parameters_of(module: torch.nn.Module) -> int:

@@ -9,19 +9,18 @@ import numpy as np
 import torch
 
 from harness.core.protocol.disk import inside_disk, square_to_disk
-from harness.core.record import Record
 from harness.fitting.targets import cells
 from harness.measures.base import Job, Measure, Outcome
 from harness.measures.base import Settings as BaseSettings
+from harness.measures.compact import single
 from harness.stats import divergence
-from harness.stats.intervals import mean_interval
 
 _ROWS = 1 << 20
 _DIVERGENCES = {
-    "kl": (divergence.kl_divergence, "nats"),
-    "chi2": (divergence.chi_square_divergence, "1"),
-    "mse": (divergence.mean_squared_error, "1"),
-    "lost-share": (divergence.lost_share, "1"),
+    "kl": divergence.kl_divergence,
+    "chi2": divergence.chi_square_divergence,
+    "mse": divergence.mean_squared_error,
+    "lost-share": divergence.lost_share,
 }
 
 
@@ -69,36 +68,28 @@ class Pdf(Measure):
             many = rows.repeat_interleave(count, 0)
             pdf = job.method.pdf(many, wo.reshape(-1, 2)).view(len(rows), count)[lit].double()
             p_star, p = target.cpu().numpy(), pdf.cpu().numpy()
-            for name, (function, _) in _DIVERGENCES.items():
+            for name, function in _DIVERGENCES.items():
                 found[name].append(function(p_star, p))
             kept.append(rows[lit])
-        invalid = self._invalid_share(job, torch.cat(kept), settings.samples)
-        series = {
-            name: (np.concatenate(found[name]), unit) for name, (_, unit) in _DIVERGENCES.items()
-        }
-        series["invalid-share"] = (invalid, "1")
-        records = []
-        for metric, (values, unit) in series.items():
-            records.append(Record(metric, *mean_interval(values), unit))
-        chi2 = series["chi2"][0]
-        records.append(Record("chi2-median", float(np.median(chi2)), unit="1"))
-        records.append(Record("black-conditions", float(settings.conditions - len(chi2)), unit="1"))
-        records.append(Record("negative-share", self._negative_share(job, condition), unit="1"))
-        arrays = {name: values for name, (values, _) in series.items()}
-        arrays["condition"] = torch.cat(kept).cpu().numpy()
-        return Outcome(records=records, arrays=arrays)
+        lit = torch.cat(kept)
+        arrays = {name: single(np.concatenate(parts)) for name, parts in found.items()}
+        arrays["invalid-share"] = self._invalid_share(job, lit, settings.samples)
+        arrays["negative-share"] = self._negative_share(job, condition)
+        arrays["condition"] = lit.cpu().numpy()
+        return Outcome(arrays=arrays)
 
     @staticmethod
-    def _negative_share(job: Job, condition: torch.Tensor) -> float:
-        """Share of uniform directions at which some channel of the BSDF is below zero."""
+    def _negative_share(job: Job, condition: torch.Tensor) -> np.ndarray:
+        """Share of uniform directions at which some channel of the BSDF is below zero [C]."""
         rows = condition.repeat_interleave(256, 0)
         u = torch.rand(len(rows), 2, generator=job.generator).to(rows.device)
-        return float((job.material.eval(rows, square_to_disk(u)) < 0).any(1).double().mean())
+        below = (job.material.eval(rows, square_to_disk(u)) < 0).any(1)
+        return single(below.view(len(condition), 256).double().mean(1).cpu().numpy())
 
     @staticmethod
     def _invalid_share(job: Job, condition: torch.Tensor, samples: int) -> np.ndarray:
-        """Share of samples off the disk, per condition."""
+        """Share of samples off the disk, per condition that is not black."""
         u = torch.rand(len(condition) * samples, 3, generator=job.generator)
         wo, _ = job.method.sample(condition.repeat_interleave(samples, 0), u.to(condition.device))
         valid = inside_disk(wo).view(len(condition), samples).double().mean(1)
-        return (1 - valid).cpu().numpy()
+        return single((1 - valid).cpu().numpy())

@@ -4,15 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-import numpy as np
-
 from harness.bench import neural as bench
 from harness.core.protocol.errors import Unsupported
-from harness.core.record import Record
 from harness.materials.neural.material import NeuralMaterial
 from harness.measures.base import Job, Measure, Outcome
 from harness.measures.base import Settings as BaseSettings
-from harness.stats.intervals import median_interval
+from harness.measures.compact import single
 
 
 class Stages(Measure):
@@ -42,11 +39,5 @@ class Stages(Measure):
         if not isinstance(job.material, NeuralMaterial):
             raise Unsupported(f"material '{job.material.name}' is not neural")
         timing = bench.run(job.material, settings.rows, settings.rounds, job.budget.device)
-        bare = min(("bare", "bare, in chunks"), key=timing.median)
-        records = []
-        for metric, what in (("stage-1", "stage 1"), ("stage-2", "stage 2"), ("bare", bare)):
-            per_million = np.array(timing.seconds[what]) / settings.rows * 1e6
-            records.append(Record(f"{metric}-seconds", *median_interval(per_million), "s"))
-        records.append(Record("stage-2-ratio", timing.ratio, unit="1"))
-        arrays = {name.replace(" ", "-"): np.array(x) for name, x in timing.seconds.items()}
-        return Outcome(records=records, arrays=arrays)
+        arrays = {name.replace(" ", "-"): single(x) for name, x in timing.seconds.items()}
+        return Outcome(arrays=arrays)

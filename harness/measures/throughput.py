@@ -5,13 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, Any
 
+import numpy as np
 import torch
 from pydantic import Field
 
-from harness.core.record import Record
 from harness.measures.base import Job, Measure, Outcome
+from harness.measures.compact import single
 from harness.measures.timing import (
     Contender,
     RoundSettings,
@@ -26,17 +27,18 @@ class BatchSettings(RoundSettings):
     """``batch`` rows, as a renderer's wavefront has them, or as many as ``max_seconds`` allow;
     ``rows``, where given, are exactly so many instead.
 
-    A turn is ``slices`` slices of one call or more, so many that together they take
+    A round has ``slices`` slices of one call or more, so many that together they take
     ``least_seconds``; each has one of the baseline's beside it (:class:`Contender`). A clock reads
     milliseconds well, a machine does not keep quiet for them.
 
-    ``sittings`` is in how many processes, one after the other, all of it is done; up to
-    ``max_sittings`` (default: no more) while an interval is wider than ``tolerance``. The numbers
-    are means over them, with intervals that say how one more would differ (``pooled.py``).
+    ``processes`` repeats the timing in so many fresh processes, one after the other; in up to
+    ``max_processes`` (default: no more) while an interval is wider than ``tolerance``. The numbers
+    are means over them, with intervals that say how one more would differ
+    (:mod:`harness.analysis.process_pooling`).
     """
 
-    sittings: int = 1
-    max_sittings: int | None = None
+    processes: int = 1
+    max_processes: int | None = None
     batch: int = 262_144
     rows: int | None = None
     rounds: int = 11
@@ -48,12 +50,13 @@ class BatchSettings(RoundSettings):
 class Throughput(Measure):
     """Rows per second of ``sample`` and ``pdf`` on one batch of random conditions.
 
-    Each call is warmed up until two in a row agree within ``stable``; then methods take turns
-    beside the baseline, see :func:`~harness.measures.timing.interleave`. The batch is in memory
-    before the clock starts, and the result is there when it stops. A method too slow for the
-    whole batch within ``max_seconds`` is timed on a part of it, and the ``batch`` record says so.
+    Each call is warmed up until two in a row agree within ``stable``; then the methods are timed in
+    interleaved rounds, each beside the baseline: :func:`~harness.measures.timing.interleave`. The
+    batch is in memory before the clock starts, and the result is there when it stops. A method too
+    slow for the whole batch within ``max_seconds`` is timed on a part of it, and the ``batch``
+    record says so.
     ``sample-time-ratio`` and ``pdf-time-ratio`` are times per row over the baseline's of the
-    same turn. ``disturbed`` is 1 where an interval stayed wider than ``tolerance``.
+    same round. ``disturbed`` is 1 where an interval stayed wider than ``tolerance``.
     """
 
     name = "throughput"
@@ -63,10 +66,8 @@ class Throughput(Measure):
     class Settings(BatchSettings):
         """See :class:`BatchSettings`."""
 
-    own_times: ClassVar[tuple[str, ...]] = ("samples-per-second", "pdf-queries-per-second")
-
     @classmethod
-    def later_sittings(cls, first: Outcome) -> dict[str, Any]:
+    def later_processes(cls, first: Outcome) -> dict[str, Any]:
         """See :class:`Measure`."""
         return rows_of(first)
 
@@ -81,7 +82,9 @@ class Throughput(Measure):
             for entry in batch.contenders(job, None if job.baseline else base)
         ]
         timings = interleave(contenders, settings, notify)
-        return [_outcome(timings, 2 * j, batch) for j, batch in enumerate(batches)]
+        return [
+            Outcome(arrays=times_of_calls(timings, 2 * j, batch)) for j, batch in enumerate(batches)
+        ]
 
 
 @dataclass(frozen=True)
@@ -131,8 +134,8 @@ class Batch:
 
 def rows_of(outcome: Outcome) -> dict[str, Any]:
     """Settings with which a call has as many rows as it had in ``outcome``."""
-    rows = [int(r.value) for r in outcome.records if r.metric == "batch"]
-    return {"rows": rows[0]} if rows else {}
+    batch = outcome.arrays.get("batch")
+    return {} if batch is None else {"rows": int(batch)}
 
 
 def prepare_batch(job: Job, settings: BatchSettings, notify: Callable[[str], None]) -> Batch:
@@ -161,15 +164,15 @@ def _calls(job: Job, rows: int) -> tuple[Callable[[], object], Callable[[], obje
     return lambda: method.sample(condition, u), lambda: method.pdf(condition, wo)
 
 
-def _outcome(timings: Timings, first: int, batch: Batch) -> Outcome:
-    records = [Record("batch", float(batch.rows), unit="1")]
-    arrays = {"loadavg": timings.loadavg}
-    for index, metric in ((first, "samples-per-second"), (first + 1, "pdf-queries-per-second")):
-        value, low, high = timings.median(index)
-        records.append(Record(metric, 1 / value, 1 / high, 1 / low, "1/s"))
+def times_of_calls(timings: Timings, first: int, batch: Batch) -> dict[str, np.ndarray]:
+    """Raw arrays of ``sample`` and ``pdf``, contenders ``first`` and the next.
+
+    Seconds of one call of the batch in each round, and the baseline's per row in the same rounds.
+    """
+    arrays = {"batch": np.array(batch.rows)}
     for index, what in ((first, "sample"), (first + 1, "pdf")):
-        records.append(Record(f"{what}-time-ratio", *timings.ratio(index), "1"))
-        arrays[f"{what}_seconds"] = timings.seconds(index) * batch.rows
-        arrays[f"baseline_{what}_seconds_per_row"] = timings.rival_seconds(index)
-    mark, reason = timings.mark(first, first + 1)
-    return Outcome(reason=reason, records=[*records, mark], arrays=arrays)
+        arrays[f"{what}_seconds"] = single(timings.seconds(index) * batch.rows)
+        arrays[f"baseline_{what}_seconds_per_row"] = single(timings.rival_seconds(index))
+    arrays["compared"] = np.array(timings.contenders[first].rival is not None)
+    arrays["loadavg"] = timings.loadavg
+    return arrays

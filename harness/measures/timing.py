@@ -1,4 +1,4 @@
-"""Timing that can be trusted: warm-up, interleaved rounds, paired ratios, and a mark on failure."""
+"""Timing that can be trusted: warm-up, and interleaved rounds until intervals are narrow."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from harness.core.record import Record
 from harness.measures.base import Settings
-from harness.stats.intervals import Interval, median_interval, ratio_of_medians
+from harness.stats.intervals import Interval
+from harness.stats.round_times import RoundTimes
 
 
 class RoundSettings(Settings):
@@ -37,9 +37,10 @@ class Contender:
     ``units`` is how much work that is. ``rival`` is the index of the contender whose time in
     the same round this one's is divided by, None for one that is compared with nothing.
 
-    With ``slices`` a turn is so many calls of ``once``, each beside one of the rival's, which of
-    the two goes first alternating: a machine that slows down for a tenth of a second then slows
-    both. Without, the rival's own turn of the round is what this one is compared with.
+    With ``slices`` it is timed in so many slices a round, a call of ``once`` each, every slice
+    beside one of the rival's, which of the two goes first alternating: a machine that slows down
+    for a tenth of a second then slows both. Without, the rival's own time in the round is what this
+    one is compared with.
     """
 
     label: str
@@ -50,7 +51,7 @@ class Contender:
 
     @property
     def needed(self) -> int | None:
-        """Whose turn in a round this one needs; its rival's, unless that has one beside it."""
+        """Whom a round of this one needs: its rival, unless that is timed in slices beside it."""
         return None if self.slices else self.rival
 
 
@@ -110,43 +111,24 @@ class Timings:
         taken, units = self._beside[index] or self._taken[other], self.contenders[other].units
         return np.array([taken[k] for k in sorted(self._taken[index])]) / units
 
+    def of(self, index: int) -> RoundTimes:
+        """Its times beside its rival's, with their intervals."""
+        one = self.contenders[index]
+        rival = None if one.rival is None else self.rival_seconds(index)
+        return RoundTimes(one.label, self.seconds(index), rival)
+
     def median(self, index: int) -> Interval:
         """Of seconds per unit."""
-        return median_interval(self.seconds(index))
+        return self.of(index).median()
 
-    def ratio(self, index: int) -> Interval:
-        """Median over rounds of this time over the rival's; 1 for one without a rival."""
-        if self.contenders[index].rival is None:
-            # By definition, not measurement: it would be divided by itself.
-            return Interval(1.0, 1.0, 1.0)
-        return ratio_of_medians(self.seconds(index), self.rival_seconds(index))
+    def wide(self) -> list[int]:
+        """Those whose interval is wider than ``tolerance``, or that have none."""
+        return [i for i in range(len(self.contenders)) if self.of(i).wide(self.tolerance)]
 
-    def width(self, index: int) -> float:
-        """Full width of the interval of the ratio, or without a rival of the median, over it."""
-        alone = self.contenders[index].rival is None
-        value, low, high = self.median(index) if alone else self.ratio(index)
-        return (high - low) / value
-
-    def disturbed(self, *indices: int) -> list[int]:
-        """Those of ``indices`` whose interval is wider than ``tolerance``, or that have none."""
-        return [i for i in indices if not self.width(i) <= self.tolerance]
-
-    def overhead(self) -> float:
-        """Share of the measuring itself: seconds not spent in what was timed, over those that were.
-
-        The price of taking turns, of checking results and of keeping them.
-        """
-        return self.wall / self._timed - 1
-
-    def mark(self, *indices: int) -> tuple[Record, str]:
-        """The record ``disturbed`` for a trial made of contenders ``indices``, and its reason."""
-        wide = self.disturbed(*indices)
-        said = [
-            f"{self.contenders[i].label} {self.width(i):.0%} after {len(self.seconds(i))} rounds"
-            for i in wide
-        ]
-        reason = f"disturbed: interval wider than {self.tolerance:.0%}: {', '.join(said)}"
-        return Record("disturbed", float(bool(wide)), unit="1"), reason if wide else ""
+    @property
+    def timed(self) -> float:
+        """Seconds spent in what was timed, of all contenders together."""
+        return self._timed
 
 
 def interleave(
@@ -155,7 +137,7 @@ def interleave(
     """Time all ``contenders`` in rounds whose order rotates, so that drift hits all alike.
 
     After the planned rounds those whose interval is still too wide go on, each with its rival
-    in the same round or turn, until it is narrow enough or the budget of rounds is spent. All
+    in the same round, until it is narrow enough or the budget of rounds is spent. All
     rounds count; stopping when an interval is narrow makes its coverage a little less than 95 %,
     more rounds than a fixed number make it narrower.
     """
@@ -167,20 +149,20 @@ def interleave(
         if number < settings.rounds:
             running, of = everybody, settings.rounds
         else:
-            wide = timings.disturbed(*everybody)
+            wide = timings.wide()
             if not wide:
                 break
             running, of = sorted(_with_rivals(contenders, wide)), most
         notify(f"timing round {number + 1} of {of}, {len(running)} contenders")
-        turn = number % len(running)
-        for index in running[turn:] + running[:turn]:
+        first = number % len(running)
+        for index in running[first:] + running[:first]:
             timings.take(index, number)
     timings.wall = now() - start
     return timings
 
 
 def _with_rivals(contenders: Sequence[Contender], wanted: Iterable[int]) -> set[int]:
-    """``wanted``, those whose turns they need, and those whose turns these need."""
+    """``wanted``, those whose times they are compared with, and those that these need."""
     found: set[int] = set()
     for index in wanted:
         step: int | None = index

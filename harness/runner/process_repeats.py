@@ -18,7 +18,7 @@ from typing import Any
 
 import torch
 
-from harness.analysis.process_pooling import disturbed, together
+from harness.analysis.process_pooling import disturbed, pooled, together
 from harness.analysis.records import registry as records
 from harness.core.protocol.errors import BudgetExceeded, Unsupported
 from harness.core.record import Numbers, Raw
@@ -67,12 +67,13 @@ def run(
     """
     needed = {trial.fit: jobs.stored[trial.fit] for trial in trials}
     least, most = count(measure, trials[0])
+    tolerance = measure.Settings(**trials[0].settings).tolerance
     asked = trials
     found: list[list[Outcome]] = []
-    pooled: list[Outcome] = []
+    all_together: list[Outcome] = []
 
     def wide() -> bool:
-        pairs = zip(trials, pooled, strict=True)
+        pairs = zip(trials, all_together, strict=True)
         return any(disturbed(numbers_of(measure.name, t.settings, one)) for t, one in pairs)
 
     while len(found) < least or (len(found) < most and wide()):
@@ -88,8 +89,8 @@ def run(
                 replace(t, settings={**t.settings, **measure.later_processes(first)})
                 for t, first in zip(trials, found[0], strict=True)
             ]
-        pooled = [_joined(outcomes) for outcomes in zip(*found, strict=True)]
-    return pooled
+        all_together = [_joined(outcomes, tolerance) for outcomes in zip(*found, strict=True)]
+    return all_together
 
 
 def numbers_of(measure: str, settings: dict[str, Any], outcome: Outcome) -> Numbers:
@@ -100,14 +101,18 @@ def numbers_of(measure: str, settings: dict[str, Any], outcome: Outcome) -> Numb
     return Numbers(outcome.records, outcome.reason) if made is None else made
 
 
-def _joined(outcomes: Sequence[Outcome]) -> Outcome:
+def _joined(outcomes: Sequence[Outcome], tolerance: float) -> Outcome:
     """One outcome with all raw data; one that is not a success stands for all."""
     for outcome in outcomes:
         if outcome.status != "ok":
             return outcome
+    own = [Numbers(outcome.records, outcome.reason) for outcome in outcomes if outcome.records]
+    made = pooled(own, tolerance) if own else Numbers([])
     return Outcome(
+        reason=made.reason,
         arrays=together([outcome.arrays for outcome in outcomes]),
         documents=together([outcome.documents for outcome in outcomes]),
+        records=made.records,
     )
 
 
@@ -124,7 +129,7 @@ def _in_process(asked: _Asked, note: Callable[[str], None]) -> list[Outcome]:
                 return said
             if kind == "failed":
                 name, message = said
-                raise _KNOWN.get(name, RuntimeError)(f"in a process of its own: {message}")
+                raise _KNOWN.get(name, RuntimeError)(f"in a fresh process: {message}")
             note(said)
     except EOFError:
         process.join()

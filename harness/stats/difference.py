@@ -35,16 +35,40 @@ def difference(images: NDArray, others: NDArray) -> Difference:
     jackknife's, over b.
     """
     d = np.asarray(images, float) - np.asarray(others, float)
-    n = len(d)
-    power = float(np.square(np.mean(others, axis=0, dtype=float)).mean())
+    return difference_of(products(d), power(others))
+
+
+def products(images: NDArray) -> NDArray:
+    """Mean over pixels and channels of X_b X_c, [B, B], of images X [B, H, W, C]."""
+    flat = np.asarray(images, float).reshape(len(images), -1)
+    return flat @ flat.T / flat.shape[1]
+
+
+def power(images: NDArray) -> float:
+    """Mean square of the mean of images [B, H, W, C]."""
+    return float(np.square(np.mean(images, axis=0, dtype=float)).mean())
+
+
+def noise_of(products: NDArray) -> float:
+    """Variance of the mean of B images, averaged over pixels and channels."""
+    n = len(products)
+    return float(np.trace(products) - products.sum() / n) / (n - 1) / n
+
+
+def difference_of(products: NDArray, power: float) -> Difference:
+    """:func:`difference` of B renders from the ``products`` [B, B] of their D_b.
+
+    Raises:
+        ValueError: fewer than three renders, or black ``others``.
+    """
+    n = len(products)
     if n < 3 or not power > 0:
         raise ValueError("expected three renders at least, and one image that is not black")
-    axes = tuple(range(1, d.ndim))
-    total, squares = d.sum(0), np.square(d).sum(0)
-    value = float((np.square(total) - squares).mean()) / (n * (n - 1) * power)
-    left = np.square(total - d) - (squares - np.square(d))
-    left_out = left.mean(axes) / ((n - 1) * (n - 2) * power)
+    total, squares, own = products.sum(), np.trace(products), np.diag(products)
+    value = float(total - squares) / (n * (n - 1) * power)
+    # The same sums without one of the renders.
+    left = total - 2 * products.sum(1) + own - (squares - own)
+    left_out = left / ((n - 1) * (n - 2) * power)
     error = np.sqrt((n - 1) / n * np.square(left_out - left_out.mean()).sum())
     half = float(stats.t.ppf(0.975, n - 1) * error)
-    noise = float(d.var(0, ddof=1).mean()) / n / power
-    return Difference(Interval(value, value - half, value + half), noise)
+    return Difference(Interval(value, value - half, value + half), noise_of(products) / power)

@@ -19,11 +19,14 @@ was missed has too low a mean *and* too low a variance, so such weights would bi
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import stats
+
+from harness.stats.blocks import SIZE, Blocks
 
 
 @dataclass(frozen=True)
@@ -51,7 +54,7 @@ def agreement(
     means: ArrayLike,
     variances: ArrayLike,
     mask: ArrayLike | None = None,
-    block: int = 16,
+    block: int = SIZE,
 ) -> list[Agreement]:
     """Compare each of M mean images [M, H, W] with the average of the other M - 1.
 
@@ -70,17 +73,27 @@ def agreement(
             f" got {means.shape} and {variances.shape}"
         )
     chosen = np.ones(means.shape[1:], bool) if mask is None else np.asarray(mask, bool)
-    if not chosen.any():
-        raise ValueError("the mask chooses no pixel")
-    if not (np.isfinite(means[:, chosen]).all() and np.isfinite(variances[:, chosen]).all()):
-        raise ValueError("means and variances must be finite where the mask chooses")
-    labels, shape = _blocks(chosen, block)
-    local = _Sums(means[:, chosen], variances[:, chosen], labels, int(np.prod(shape)))
-    whole = _Sums(means[:, chosen], variances[:, chosen], np.zeros_like(labels), 1)
+    blocks = [Blocks.of(m, v, chosen, block) for m, v in zip(means, variances, strict=True)]
+    return agreement_of_blocks(blocks, block)
+
+
+def agreement_of_blocks(images: Sequence[Blocks], block: int = SIZE) -> list[Agreement]:
+    """:func:`agreement` of M images of which the moments of blocks were kept.
+
+    All have the same chosen pixels; ``block`` is the side of a block in pixels.
+
+    Raises:
+        ValueError: fewer than two images, or other pixels chosen in one than in another.
+    """
+    pixels = images[0].pixels
+    if len(images) < 2 or any(not np.array_equal(one.pixels, pixels) for one in images):
+        raise ValueError("expected two images or more, with the same pixels chosen")
+    local = _Sums(images)
+    whole = _Sums([one.whole() for one in images])
     large = local.pixels * 4 >= block * block
     if not large.any():
         large = local.pixels > 0
-    return [_compare(local, whole, m, large, shape) for m in range(len(means))]
+    return [_compare(local, whole, m, large, pixels.shape) for m in range(len(images))]
 
 
 def holm(p: ArrayLike) -> NDArray:
@@ -99,19 +112,18 @@ def holm(p: ArrayLike) -> NDArray:
 class _Sums:
     """Per method and block: mean, its variance, and the variance of that estimate."""
 
-    def __init__(self, means: NDArray, variances: NDArray, labels: NDArray, blocks: int):
-        def total(values: NDArray) -> NDArray:
-            return np.stack([np.bincount(labels, row, minlength=blocks) for row in values])
+    def __init__(self, images: Sequence[Blocks]):
+        n = self.pixels = images[0].pixels.ravel()
 
-        n = np.bincount(labels, minlength=blocks).astype(float)
-        self.pixels = n
+        def each(part: str) -> NDArray:
+            return np.stack([getattr(one, part).ravel() for one in images])
+
         with np.errstate(invalid="ignore", divide="ignore"):
-            self.mean = total(means) / n
-            self.variance = total(variances) / n**2
+            self.mean = each("mean")
+            self.variance = each("variance") / n
             # Scatter of the pixels' variance estimates. True differences between pixels count
             # in too, which makes the test milder, never wilder.
-            scatter = total(variances**2) / n - (total(variances) / n) ** 2
-            self.variance_of_variance = scatter * n / (n - 1) / n**3
+            self.variance_of_variance = each("spread") ** 2 / (n - 1) / n**2
 
 
 def _compare(local: _Sums, whole: _Sums, m: int, large: NDArray, shape: tuple) -> Agreement:
@@ -157,10 +169,3 @@ def _scores(sums: _Sums, m: int) -> NDArray:
 def _variance_of_difference(variance: NDArray, m: int) -> NDArray:
     others = np.arange(len(variance)) != m
     return variance[m] + variance[others].sum(0) / others.sum() ** 2
-
-
-def _blocks(chosen: NDArray, block: int) -> tuple[NDArray, tuple[int, int]]:
-    """Block number of each chosen pixel, and the number of blocks along both axes."""
-    y, x = np.nonzero(chosen)
-    shape = (-(-chosen.shape[0] // block), -(-chosen.shape[1] // block))
-    return (y // block) * shape[1] + x // block, shape

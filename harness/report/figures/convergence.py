@@ -7,6 +7,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
+from harness.analysis.records.convergence import curve_of
 from harness.analysis.results import Results
 from harness.report.figures.canvas import Canvas, Drawn, grid_shape, log_ticks, styled
 from harness.report.figures.palette import Look, looks
@@ -78,9 +79,7 @@ def _panel(
     bands: list[tuple[np.ndarray, np.ndarray, np.ndarray, str]] = []
     for method in results.methods:
         for trial in results.trials(MEASURE, material, method.label, scene):
-            arrays = results.arrays(trial)
-            if x not in arrays or "mse" not in arrays:
-                continue
+            arrays = curve_of(results.arrays(trial))
             style = look[method.label]
             at, mse = arrays[x], arrays["mse"]
             # An error estimate below the reference's own noise may be negative: no logarithm.

@@ -10,6 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.colors import PowerNorm
 from matplotlib.patches import Circle
 
+from harness.analysis.records.slices import divergences
 from harness.analysis.results import MethodColumn, Results
 from harness.report.figures.canvas import Canvas, Drawn, picture, sheet, styled, wrapped
 from harness.report.formats.short import short
@@ -101,7 +102,8 @@ def _method(
         return
     arrays = results.arrays(trials[0])
     _disk(axes, centre, arrays["pdf"][k], norm)
-    _under(axes, centre, f"KL {short(arrays['kl'][k])}\nMSE {short(arrays['mse'][k])}")
+    kl, mse = divergences(arrays)
+    _under(axes, centre, f"KL {short(kl[k])}\nMSE {short(mse[k])}")
 
 
 def missing(axes: Axes, centre: tuple[float, float], why: str) -> None:

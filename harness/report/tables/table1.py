@@ -65,10 +65,10 @@ def table1(results: Results) -> Table | str:
         )
         for scene in scenes
     ]
-    rounds, sittings = results.counts(MEASURE, "seconds"), results.counts(MEASURE, "sitting")
+    rounds, processes = results.counts(MEASURE, "seconds"), results.counts(MEASURE, "processes")
     taken = f"{rounds} interleaved rounds" if rounds else ""
-    if sittings:
-        taken += f" in {sittings} processes, geometric means over these"
+    if processes:
+        taken += f" in {processes} processes, geometric means over these"
     said = circumstances(results, MEASURE, taken, timed=True)
     where = f" Scene: {scenes[0]}." if len(scenes) == 1 else ""
     return Table(
