@@ -29,6 +29,7 @@ def speedups(
         Section(scene, _rows(results, measure, metric, scene, warnings))
         for scene in results.scenes(measure)
     ]
+    caption = caption.format(baseline=results.baseline or "the baseline")
     if len(sections) == 1:
         caption += f" Scene: {sections[0].title}."
         sections = [replace(sections[0], title="")]
@@ -42,7 +43,7 @@ def speedups(
     return Table(
         name=name,
         title=title,
-        caption=f"{caption.format(baseline=results.baseline or 'the baseline')} {said}".strip(),
+        caption=f"{caption} {said}".strip(),
         corner="material",
         columns=[method.label for method in results.methods],
         sections=sections,
