@@ -11,13 +11,13 @@ import pytest
 from harness.analysis.breakeven import Costs, costs
 from harness.analysis.results import Results
 from harness.measures.base import Outcome
-from harness.report.figures import Canvas
 from harness.report.figures.breakeven import breakeven as figure
+from harness.report.figures.canvas import Canvas
 from harness.report.formats.csv import csv
 from harness.report.formats.markdown import markdown
+from harness.report.parts import part
 from harness.report.published.neusample import neusample
 from harness.report.table import Table
-from harness.report.tables import TABLES
 from tests.report_results import METHODS, Made
 
 SCENE = "studio-sphere"
@@ -45,7 +45,7 @@ def found(results: Results, material: str = "veined-marble", shipped: bool = Fal
 
 
 def table_of(results: Results, name: str = "breakeven") -> Table:
-    table = TABLES[name](results)
+    table = part("tables", name)(results)
     assert isinstance(table, Table), table
     return table
 
@@ -162,7 +162,7 @@ def test_the_table_says_never_until_and_from_the_start(results: Results) -> None
 
 def test_without_times_the_table_says_why(tmp_path: Path) -> None:
     folder = Made(measures=("fit", "pdf"), methods=LABELS).write(tmp_path)
-    said = TABLES["breakeven"](Results.load(folder))
+    said = part("tables", "breakeven")(Results.load(folder))
     assert isinstance(said, str) and "equal-time or cost" in said
 
 

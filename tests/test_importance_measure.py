@@ -10,8 +10,8 @@ import yaml
 
 from harness.analysis.results import Results
 from harness.cli.main import main
-from harness.report.figures import FIGURES, Canvas
-from harness.report.tables import TABLES
+from harness.report.figures.canvas import Canvas
+from harness.report.parts import part
 from harness.report.tables.importance_maps import LOBES
 
 
@@ -69,7 +69,7 @@ def test_same_slices_for_all_kinds(results):
 
 
 def test_table_and_figure(results, tmp_path):
-    table = TABLES["importance-maps"](results)
+    table = part("tables", "importance-maps")(results)
     assert list(table.columns) == ["row-column", "optimal-transport", "cosine"]
     arrays = results.arrays(results.trials("importance-maps")[0])
     ratios = [s for s in table.sections if s.title.endswith("over row-column")]
@@ -80,5 +80,5 @@ def test_table_and_figure(results, tmp_path):
         counts = [int(row.label.split("(")[1].rstrip(")")) for row in section.rows]
         assert sum(counts) == len(arrays["spread"]) and len(counts) <= len(LOBES)
         assert all(cell.missing for row in section.rows for cell in row.cells[2:])
-    (drawn,) = FIGURES["importance-maps"](results, Canvas(tmp_path))
+    (drawn,) = part("figures", "importance-maps")(results, Canvas(tmp_path))
     assert drawn.png.stat().st_size > 5000

@@ -10,8 +10,8 @@ import pytest
 from harness.analysis.combine import Estimate, over_seeds
 from harness.analysis.ranking import standings
 from harness.analysis.results import Results
+from harness.report.parts import part
 from harness.report.table import Cell, Table, embolden
-from harness.report.tables import TABLES
 from tests.report_results import MATERIALS, Made
 
 SCENE = "studio-sphere"
@@ -52,7 +52,7 @@ def test_the_interval_over_materials_is_wider_than_that_of_the_measurements(
 ) -> None:
     results = made(tmp_path, materials=MATERIALS)
     mean = by_label(results)["neural-spline-flow"].mean
-    table = TABLES["table2"](results)
+    table = part("tables", "table2")(results)
     row = next(r for r in table.sections[0].rows if r.summary)
     same = row.cells[table.columns.index("neural-spline-flow")]
     assert math.log(mean.high / mean.low) > 2 * math.log(same.high / same.low)
@@ -87,7 +87,7 @@ def test_a_method_without_numbers_has_reasons(tmp_path: Path) -> None:
     found = by_label(results)
     assert found["cosine"].mean == "error: no luck"
     assert found["neural-spline-flow"].mean.note == "2 of 3 materials only"
-    table = TABLES["ranking"](results)
+    table = part("tables", "ranking")(results)
     assert isinstance(table, Table)
     rows = {row.label: row.cells for row in table.sections[0].rows}
     assert rows["cosine"][0].missing == "error: no luck"
@@ -97,13 +97,13 @@ def test_a_method_without_numbers_has_reasons(tmp_path: Path) -> None:
 
 def test_the_table_has_a_section_for_each_scene(tmp_path: Path) -> None:
     results = made(tmp_path, scenes=(SCENE, "patch"), materials=MATERIALS)
-    table = TABLES["ranking"](results)
+    table = part("tables", "ranking")(results)
     assert [section.title for section in table.sections] == [SCENE, "patch"]
     assert [row.label for row in table.sections[0].rows] == LABELS
     best = {row.label: row.cells[1].text for row in table.sections[0].rows}
     assert best["cosine"].startswith("0%")
     assert sum(cell.bold for row in table.sections[0].rows for cell in row.cells) <= 1
-    assert isinstance(TABLES["ranking"](made(tmp_path / "none", measures=("fit",))), str)
+    assert isinstance(part("tables", "ranking")(made(tmp_path / "none", measures=("fit",))), str)
 
 
 def test_bold_only_where_the_interval_excludes_the_next() -> None:

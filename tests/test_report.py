@@ -19,14 +19,13 @@ import pytest
 from rich.console import Console
 
 from harness.analysis import numbers
+from harness.analysis.bias import corrected_p
 from harness.analysis.combine import Estimate, arithmetic_mean, geometric_mean, over_seeds, ratio
 from harness.analysis.quantities import nanoseconds_per_sample
 from harness.analysis.results import MethodColumn, Results
 from harness.core.protocol.errors import InputError
-from harness.report import names
 from harness.report import write as reports
-from harness.report.figures import FIGURES, Canvas
-from harness.report.figures.canvas import grid_shape, styled
+from harness.report.figures.canvas import Canvas, grid_shape, styled
 from harness.report.figures.images import _worst_square
 from harness.report.figures.palette import looks
 from harness.report.figures.rendered import exposure, reference, srgb
@@ -37,9 +36,8 @@ from harness.report.formats.html import html
 from harness.report.formats.latex import escape as latex_escape
 from harness.report.formats.latex import latex
 from harness.report.formats.markdown import markdown
+from harness.report.parts import part, parts
 from harness.report.table import Cell, Footnotes, Row, Section, Table, embolden
-from harness.report.tables import TABLES
-from harness.report.tables.bias import corrected_p
 from tests.report_results import MATERIALS, METHODS, Made
 
 WEIRD = r"a_b & 50% #1 {x}~^\y|<i>$*`[z]"
@@ -65,7 +63,7 @@ def printed(folder: Path, width: int = 120) -> str:
 
 
 def table_of(folder: Path, name: str) -> Table:
-    table = TABLES[name](Results.load(folder))
+    table = part("tables", name)(Results.load(folder))
     assert isinstance(table, Table), table
     return table
 
@@ -290,7 +288,7 @@ def test_equal_spp_without_a_timed_measure(tmp_path: Path):
     cell = cell_of(table, "veined-marble", "cosine")
     assert cell.value == pytest.approx(pair[0].value / pair[1].value)
     assert cell.low < cell.value < cell.high
-    assert isinstance(TABLES["table2"](results), str)
+    assert isinstance(part("tables", "table2")(results), str)
 
 
 def test_two_scenes_and_two_seeds(tmp_path: Path):
@@ -331,7 +329,7 @@ def test_machines_are_not_compared_in_silence(tmp_path: Path):
     import pandas as pd
 
     both = Results(tmp_path, pd.concat([mixed.frame, extra.frame]), mixed.plan)
-    table = TABLES["timing"](both)
+    table = part("tables", "timing")(both)
     assert isinstance(table, Table) and "not to be compared" in table.caption
 
 
@@ -518,7 +516,7 @@ def test_thumbnails_are_of_the_materials_that_were_rendered(tmp_path: Path):
     """One sheet a scene; a biased method has no part in them."""
     made = Made(materials=MATERIALS[:7], bias={("cosine", MATERIALS[0]): 1e-9})
     results = Results.load(made.write(tmp_path))
-    (sheet,) = FIGURES["materials"](results, Canvas(tmp_path))
+    (sheet,) = part("figures", "materials")(results, Canvas(tmp_path))
     assert sheet.png.name == "materials-studio-sphere.png" and sheet.width == 6 * 165
     at = (MATERIALS[0], "cosine", "studio-sphere")
     before = reference(results, MATERIALS[0], "studio-sphere")
@@ -533,7 +531,7 @@ def test_images_of_another_size_are_no_reference(tmp_path: Path):
         images = results.stored(trial).images
         images["mean"] = images["mean"][::2, ::2]
     assert reference(results, MATERIALS[0], "studio-sphere").shape == (16, 16, 3)
-    drawn = FIGURES["images"](results, Canvas(tmp_path))
+    drawn = part("figures", "images")(results, Canvas(tmp_path))
     assert [each.png.name for each in drawn][:1] == [f"images-studio-sphere-{MATERIALS[0]}.png"]
 
 
@@ -552,8 +550,8 @@ def test_time_per_sample_carries_its_interval(failing: Path):
 
 def test_figures_say_why_they_are_not_there(tmp_path: Path):
     results = Results.load(Made(measures=("fit",)).write(tmp_path))
-    for name, figure in FIGURES.items():
-        assert "no trial" in figure(results, Canvas(tmp_path)), name
+    for name, figure in parts("figures").items():
+        assert "no trial" in figure.load()(results, Canvas(tmp_path)), name
 
 
 def test_convergence_below_the_noise_or_without_repeats(failing: Path, tmp_path: Path):
@@ -566,7 +564,7 @@ def test_convergence_below_the_noise_or_without_repeats(failing: Path, tmp_path:
         results.arrays(trial)["mse"][:] = -1.0
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        drawn = FIGURES["convergence"](results, Canvas(tmp_path))
+        drawn = part("figures", "convergence")(results, Canvas(tmp_path))
     assert drawn[0].png.is_file()
 
 
@@ -577,10 +575,10 @@ def test_infinite_divergence_is_named_not_drawn(failing: Path, tmp_path: Path):
     frame.loc[rows, ["value", "ci_low", "ci_high"]] = math.inf
     changed = Results(failing, frame, results.plan)
     with styled():
-        drawn = FIGURES["tradeoff"](changed, Canvas(tmp_path))
+        drawn = part("figures", "tradeoff")(changed, Canvas(tmp_path))
     assert drawn[0].png.stat().st_size > 10_000
-    assert cell_of(TABLES["pdf"](changed), MATERIALS[0], "cosine", 1).parts[0] == "∞"
-    mean = cell_of(TABLES["pdf"](changed), "geometric mean", "cosine", 1)
+    assert cell_of(part("tables", "pdf")(changed), MATERIALS[0], "cosine", 1).parts[0] == "∞"
+    mean = cell_of(part("tables", "pdf")(changed), "geometric mean", "cosine", 1)
     assert "not positive and finite" in mean.missing
 
 
@@ -650,11 +648,6 @@ def test_no_results_is_refused(tmp_path: Path):
         reports.load(tmp_path).write()
 
 
-def test_names_are_those_of_the_registries():
-    assert tuple(TABLES) == names.TABLES
-    assert tuple(FIGURES) == names.FIGURES
-
-
 def test_odd_names_pass_through_everything(tmp_path: Path):
     folder = Made(
         materials=[WEIRD], methods=["cosine", "improved-baseline", WEIRD], title=WEIRD, size=24
@@ -667,7 +660,9 @@ def test_odd_names_pass_through_everything(tmp_path: Path):
 
 def test_the_report_imports_nothing_that_measures():
     code = (
-        "import sys, harness.report.write, harness.report.figures, harness.report.page;"
+        "import sys, harness.report.write, harness.report.page;"
+        "from harness.report.parts import KINDS, parts;"
+        "[p.load() for kind in KINDS for p in parts(kind).values()];"
         "bad = [m for m in sys.modules if m.split('.')[0] in ('mitsuba', 'drjit')"
         " or m.startswith(('harness.measures', 'harness.rendering', 'harness.materials'))];"
         "sys.exit(str(bad) if bad else 0)"

@@ -103,7 +103,7 @@ def test_records_and_table(tmp_path: Path):
 
     from harness.analysis.results import Results
     from harness.cli.main import main
-    from harness.report.tables import TABLES
+    from harness.report.parts import part
 
     suite = {
         "name": "weights",
@@ -115,7 +115,7 @@ def test_records_and_table(tmp_path: Path):
     }
     (tmp_path / "weights.yaml").write_text(yaml.safe_dump(suite))
     assert main(["run", str(tmp_path / "weights.yaml"), "--out", str(tmp_path / "out")]) == 0
-    table = TABLES["sample-weights"](Results.load(tmp_path / "out"))
+    table = part("tables", "sample-weights")(Results.load(tmp_path / "out"))
     titles = [s.title for s in table.sections]
     shares = next(s for s in table.sections if "less variance than cosine [1]" in s.title)
     assert titles[4].startswith("bias: ") and len(titles) == 9

@@ -33,14 +33,14 @@ from harness.measures import registry as measures
 from harness.measures import stability
 from harness.measures.base import Outcome
 from harness.report import write as reports
-from harness.report.figures import FIGURES, Canvas
+from harness.report.figures.canvas import Canvas
 from harness.report.figures.heatmap import _FACE
 from harness.report.formats.csv import csv as as_csv
 from harness.report.formats.html import html
 from harness.report.formats.latex import latex
 from harness.report.formats.markdown import markdown
+from harness.report.parts import part
 from harness.report.table import Cell, Table
-from harness.report.tables import TABLES
 from harness.runner.run import Options
 from harness.runner.run import run as run_plan
 from harness.suite.load import load
@@ -308,7 +308,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
 
 
 def the_table(folder: Path) -> Table:
-    table = TABLES["stability"](Results.load(folder))
+    table = part("tables", "stability")(Results.load(folder))
     assert isinstance(table, Table)
     return table
 
@@ -404,7 +404,7 @@ def test_the_figure_has_a_cell_for_each_with_the_colour_of_its_verdict(
     save = Canvas.save
     monkeypatch.setattr(Canvas, "save", lambda s, f, *a: kept.append(f) or save(s, f, *a))
     results = Results.load(folder)
-    (drawn,) = FIGURES["heatmap"](results, Canvas(tmp_path))
+    (drawn,) = part("figures", "heatmap")(results, Canvas(tmp_path))
     assert {path.suffix for path in drawn.files} == {".png", ".pdf"}
     axes = kept[0].axes[0]
     patches = [p for p in axes.patches if isinstance(p, Rectangle)]
@@ -425,7 +425,7 @@ def test_words_of_the_figure_stay_in_their_places(
     kept: list[Figure] = []
     save = Canvas.save
     monkeypatch.setattr(Canvas, "save", lambda s, f, *a: kept.append(f) or save(s, f, *a))
-    FIGURES["heatmap"](Results.load(folder), Canvas(tmp_path))
+    part("figures", "heatmap")(Results.load(folder), Canvas(tmp_path))
     (figure,) = kept
     extent = figure.bbox
     texts = [t for t in figure.axes[0].texts if t.get_text()]
@@ -444,5 +444,8 @@ def test_words_of_the_figure_stay_in_their_places(
 
 def test_a_folder_without_the_measure_says_so(tmp_path: Path):
     results = Results.load(Made(materials=["suede"], measures=("fit",)).write(tmp_path))
-    assert "no trial of the measure stability" in TABLES["stability"](results)
-    assert "no trial of the measure stability" in FIGURES["heatmap"](results, Canvas(tmp_path))
+    for said in (
+        part("tables", "stability")(results),
+        part("figures", "heatmap")(results, Canvas(tmp_path)),
+    ):
+        assert "no trial of the measure stability" in said

@@ -5,9 +5,9 @@ from __future__ import annotations
 import pytest
 
 from harness.analysis.results import Results
+from harness.report.parts import part
 from harness.report.published.neusample import neusample
 from harness.report.table import Cell, Table
-from harness.report.tables import TABLES
 from tests.report_results import METHODS, Made
 
 SHOWN = ["cosine", "improved-baseline", "two-lobe", "realnvp", "native"]
@@ -16,7 +16,7 @@ SHOWN = ["cosine", "improved-baseline", "two-lobe", "realnvp", "native"]
 @pytest.fixture(scope="module")
 def table(tmp_path_factory: pytest.TempPathFactory) -> Table:
     folder = Made(measures=("cost",), methods=SHOWN).write(tmp_path_factory.mktemp("table1"))
-    table = TABLES["table1"](Results.load(folder))
+    table = part("tables", "table1")(Results.load(folder))
     assert isinstance(table, Table), table
     return table
 

@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 
 from harness.analysis import numbers
+from harness.analysis.bias import bias_warnings
 from harness.analysis.breakeven import TIMES, VARIANCES, CostLine, costs, timed_scenes
 from harness.analysis.results import Results
 from harness.core.protocol.errors import InputError, nearest
-from harness.report.tables.bias import bias_warnings
 from harness.stats.crossing import Crossing, envelope
 from harness.stats.intervals import Interval
 

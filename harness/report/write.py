@@ -14,8 +14,8 @@ from harness.report.formats.console import print_table
 from harness.report.formats.csv import csv
 from harness.report.formats.latex import latex
 from harness.report.formats.markdown import markdown
+from harness.report.parts import parts
 from harness.report.table import Table
-from harness.report.tables import TABLES
 
 _LIST = "files.txt"
 _FORMATS = {"md": markdown, "csv": csv, "tex": latex}
@@ -42,10 +42,10 @@ class Report:
         left out and why.
         """
         # Figures take matplotlib, which printing tables does not.
-        from harness.report.figures import FIGURES, Canvas
+        from harness.report.figures.canvas import Canvas
         from harness.report.page import Page, page
 
-        figure_names = _names(self.results, "figures", FIGURES)
+        figures = parts("figures")
         skipped = list(self.skipped)
         report = self.results.folder / "report"
         report.mkdir(exist_ok=True)
@@ -55,9 +55,9 @@ class Report:
                 written.append(report / f"{table.name}.{end}")
                 written[-1].write_text(form(table), encoding="utf-8")
         canvas = Canvas(report / "figures")
-        for name in figure_names:
+        for name in _names(self.results, "figures", figures):
             notify(f"figure {name}")
-            drawn = FIGURES[name](self.results, canvas)
+            drawn = figures[name].load()(self.results, canvas)
             if isinstance(drawn, str):
                 skipped.append(f"figure {name}: {drawn}")
         written += [path for figure in canvas.drawn for path in figure.files]
@@ -82,9 +82,10 @@ class Report:
 def _tables(results: Results) -> tuple[list[Table], list[str]]:
     """The tables wanted, and why others are left out. The status is always there."""
     tables, skipped = [], []
-    names = _names(results, "tables", TABLES)
+    known = parts("tables")
+    names = _names(results, "tables", known)
     for name in [*(n for n in names if n != "status"), "status"]:
-        table = TABLES[name](results)
+        table = known[name].load()(results)
         if isinstance(table, str):
             skipped.append(f"table {name}: {table}")
         else:

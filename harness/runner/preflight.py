@@ -6,6 +6,7 @@ from typing import Any
 
 from harness.core import registry
 from harness.core.protocol.errors import InputError, nearest
+from harness.report.parts import KINDS, names
 from harness.suite.plan import Plan
 from harness.suite.trials import Trial
 
@@ -27,9 +28,8 @@ def ready(device: str) -> None:
 
 def check_report(plan: Plan) -> None:
     """The tables and figures that the suite wants exist."""
-    from harness.report.names import FIGURES, TABLES
-
-    for kind, known in (("tables", TABLES), ("figures", FIGURES)):
+    for kind in KINDS:
+        known = names(kind)
         for index, name in enumerate(plan.report[kind] or ()):
             if name not in known:
                 raise InputError(

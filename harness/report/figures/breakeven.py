@@ -15,6 +15,7 @@ from harness.analysis.results import Results
 from harness.report.figures.canvas import Canvas, Drawn, grid_shape, log_ticks, styled
 from harness.report.figures.palette import Look, looks
 
+ORDER = 40
 _BEYOND = 3
 """By what factor a panel reaches beyond its lines."""
 _POINTS = 60

@@ -12,6 +12,7 @@ from harness.analysis.results import Results
 from harness.report.figures.canvas import Canvas, Drawn, grid_shape, log_ticks, styled
 from harness.report.figures.palette import Look, looks
 
+ORDER = 50
 MEASURE = "convergence"
 _BELOW = 1e-30
 """Stands for a lower bound of zero or less: far below every panel."""

@@ -5,11 +5,12 @@ from __future__ import annotations
 from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
+from harness.analysis.effects import MEASURE, Rows, effects_of, trials, verdict
 from harness.analysis.results import Results
 from harness.report.figures.canvas import Canvas, Drawn, picture, sheet, styled
 from harness.report.figures.rendered import exposure, srgb
-from harness.report.tables.effects import MEASURE, Rows, effects_of, trials, verdict
 
+ORDER = 100
 _CELL, _LABEL, _UNDER = 1.9, 0.2, 0.3
 """Inches: width of a picture, heights of its label and of the words below."""
 _ACROSS = 5

@@ -11,6 +11,7 @@ from harness.analysis.results import Results
 from harness.analysis.verdicts import MEASURE, CaseRow, Entry, case_rows, groups
 from harness.report.figures.canvas import Canvas, Drawn, sheet, styled, wrapped
 
+ORDER = 80
 # Blue to orange, dark only where it fails: in order also without colour vision, and in print.
 _FACE = {"pass": "#c6dbef", "degraded": "#fdbe85", "fail": "#b34700", "skip": "#ffffff"}
 _INK = {"pass": "#08306b", "degraded": "#1b1d21", "fail": "#ffffff", "skip": "#777777"}

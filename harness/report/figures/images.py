@@ -16,6 +16,7 @@ from harness.report.figures.rendered import LUMINANCE, exposure, reference, srgb
 from harness.report.figures.slices import missing
 from harness.report.formats.short import short
 
+ORDER = 70
 MEASURE = "equal-time"
 _IMAGE = "equal_time"
 _ACROSS = 6

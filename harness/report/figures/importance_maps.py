@@ -8,6 +8,7 @@ from harness.analysis.results import Results
 from harness.report.figures.canvas import Canvas, Drawn, picture, sheet, styled, wrapped
 from harness.report.formats.short import short
 
+ORDER = 90
 MEASURE = "importance-maps"
 _PANEL = 1.1
 """Inches."""

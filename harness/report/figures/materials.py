@@ -6,6 +6,7 @@ from harness.analysis.results import Results
 from harness.report.figures.canvas import Canvas, Drawn, picture, sheet, styled
 from harness.report.figures.rendered import exposure, reference, srgb
 
+ORDER = 10
 MEASURE = "equal-spp"
 _ACROSS, _CELL, _LABEL = 6, 1.5, 0.22
 """Thumbnails side by side; inches of a thumbnail and of the name above it."""

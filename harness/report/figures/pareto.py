@@ -22,6 +22,7 @@ from harness.report.figures.knob_path import inserted
 from harness.report.figures.labels import Label, place
 from harness.report.figures.palette import Look, looks_of
 
+ORDER = 30
 ALL = "geometric mean"
 _OPACITY = {"front": 1.0, "possibly": 0.6, "surely": 0.22}
 _SURE = 0.95

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from harness.analysis.bias import bias_warnings
 from harness.analysis.results import Results
-from harness.report.tables.bias import bias_warnings
 
 LUMINANCE = np.array([0.212671, 0.715160, 0.072169])
 

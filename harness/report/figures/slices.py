@@ -15,6 +15,7 @@ from harness.analysis.results import MethodColumn, Results
 from harness.report.figures.canvas import Canvas, Drawn, picture, sheet, styled, wrapped
 from harness.report.formats.short import short
 
+ORDER = 60
 MEASURE = "slices"
 _ROWS = 12
 """Most rows of one figure."""

@@ -15,6 +15,7 @@ from harness.analysis.results import MethodColumn, Results
 from harness.report.figures.canvas import Canvas, Drawn, grid_shape, log_ticks, styled
 from harness.report.figures.palette import Look, looks
 
+ORDER = 20
 _ALL = "geometric mean"
 
 

@@ -2,21 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 from harness.analysis import numbers
+from harness.analysis.bias import LEVEL, MEASURE, Key, corrected_p
 from harness.analysis.combine import Estimate
 from harness.analysis.results import MethodColumn, Results
 from harness.report.table import Cell, Row, Section, Table
 from harness.report.tables.common import circumstances
-from harness.stats.ztest import holm
 
-LEVEL = 0.05
-"""Chance that any unbiased method at all is called biased, over the whole table."""
-MEASURE = "equal-spp"
-
-Key = tuple[str, str, str]
-"""(material, method label, scene)"""
+ORDER = 50
 
 
 def bias(results: Results) -> Table | str:
@@ -47,32 +40,6 @@ def bias(results: Results) -> Table | str:
         columns=[method.label for method in results.methods],
         sections=sections,
     )
-
-
-def corrected_p(results: Results) -> dict[Key, float]:
-    """Holm-corrected p-values of all tests stored; the smallest over seeds for each cell."""
-    rows = results.frame
-    rows = rows[(rows["measure"] == MEASURE) & (rows["metric"] == "bias-p")]
-    rows = rows[(rows["status"] == "ok") & rows["value"].notna()]
-    keys = list(zip(rows["material"], rows["method"], rows["scene"], strict=True))
-    corrected: dict[Key, float] = {}
-    for key, p in zip(keys, holm(rows["value"]), strict=True):
-        corrected[key] = min(float(p), corrected.get(key, 1.0))
-    return corrected
-
-
-def bias_warnings(results: Results) -> Callable[[str, str, str], str]:
-    """(material, method, scene) -> the warning to put on a speed-up; "" if unbiased."""
-    corrected = corrected_p(results)
-
-    def warning(material: str, method: str, scene: str) -> str:
-        if corrected.get((material, method, scene), 1.0) >= LEVEL:
-            return ""
-        return (
-            "biased: the mean image differs from the reference by more than noise (table of bias)"
-        )
-
-    return warning
 
 
 def _looked_again(results: Results) -> str:

@@ -6,13 +6,14 @@ import math
 from collections.abc import Callable
 
 from harness.analysis import numbers
+from harness.analysis.bias import bias_warnings
 from harness.analysis.breakeven import TIMES, CostLine, Costs, costs, timed_scenes
 from harness.analysis.results import MethodColumn, Results
 from harness.report.table import Cell, Row, Section, Table
-from harness.report.tables.bias import bias_warnings
 from harness.report.tables.common import circumstances
 from harness.stats.crossing import Crossing
 
+ORDER = 70
 Warnings = Callable[[str, str, str], str]
 """(material, method, scene) -> what makes the method's number doubtful."""
 FLOOR = "cosine"

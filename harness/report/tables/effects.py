@@ -6,35 +6,23 @@ import math
 from collections.abc import Callable
 from typing import Any
 
+from harness.analysis.effects import MEASURE, Rows, effects_of, trials, verdict
 from harness.analysis.results import Results
 from harness.report.table import Cell, Row, Section, Table
 from harness.report.tables.common import circumstances
 
-MEASURE = "effects"
-VERDICTS = ("negligible", "needed", "missing", "not needed")
-"""By the number that the measure records."""
+ORDER = 140
 _SHADES = ("degraded", "pass", "fail", "pass")
-_COUNTS = {
-    "rays": "rays",
-    "shadow-rays": "shadow rays",
-    "evaluations": "evaluations",
-    "values": "values",
-    "pdf-queries": "pdf queries",
-    "network": "networks",
-}
-_ONLY_LIGHT = "the only light: without it nothing is rendered"
-
-Rows = dict[str, dict[str, Any]]
-"""One trial's rows by metric."""
+ONLY_LIGHT = "the only light: without it nothing is rendered"
 
 
 def effects(results: Results) -> Table | str:
-    """A section per scene, material and method; a row per effect, dearest first."""
+    """A section per scene, material and method; a row per effect, in order of decreasing cost."""
     found = trials(results)
     if not found:
         return f"no trial of the measure {MEASURE} is stored"
     columns = ["verdict", "adds ms/spp", "share", "relMSE", "of noise", "FLIP", "of noise"]
-    sections = _sections(results, found, columns, _row)
+    sections = effect_sections(results, found, columns, _row)
     tolerance = next((rows["tolerance"]["value"] for rows in found.values() if rows), math.nan)
     return Table(
         name=MEASURE,
@@ -55,28 +43,7 @@ def effects(results: Results) -> Table | str:
     )
 
 
-def effect_counts(results: Results) -> Table | str:
-    """What each effect has the renderer do, in the same sections and rows."""
-    found = trials(results)
-    if not found:
-        return f"no trial of the measure {MEASURE} is stored"
-    columns = list(_COUNTS.values())
-    return Table(
-        name="effect-counts",
-        title="What runs for each effect",
-        caption=(
-            "How many more, for each sample of a pixel, with the effect than without it: rays that "
-            "go on from a surface, rays to a sampled light, evaluations of BSDFs, numbers that "
-            "these gave, pdf queries, and evaluations of neural networks; over all surfaces. "
-            + circumstances(results, MEASURE)
-        ).strip(),
-        corner="effect",
-        columns=columns,
-        sections=_sections(results, found, columns, _counts),
-    )
-
-
-def _sections(
+def effect_sections(
     results: Results,
     found: dict[tuple[str, str, str], Rows],
     columns: list[str],
@@ -107,37 +74,11 @@ def choices(results: Results) -> list[str]:
     return said
 
 
-def trials(results: Results) -> dict[tuple[str, str, str], Rows]:
-    """(scene, material, method) -> rows of its first trial by metric; none where it failed."""
-    found: dict[tuple[str, str, str], Rows] = {}
-    for row in results.rows(MEASURE):
-        rows = found.setdefault((row["scene"], row["material"], row["method"]), {})
-        if row["status"] == "ok":
-            rows.setdefault(row["metric"], row)
-    return found
-
-
-def effects_of(rows: Rows) -> list[str]:
-    """Names of the effects with a verdict: those called for first, each kind dearest first."""
-    names = [m.removesuffix(".verdict") for m in rows if m.endswith(".verdict")]
-
-    def order(name: str) -> tuple[bool, float]:
-        seconds = rows.get(f"{name}.seconds")
-        return verdict(rows, name) in VERDICTS[2:], -(seconds["value"] if seconds else math.inf)
-
-    return sorted(names, key=order)
-
-
-def verdict(rows: Rows, name: str) -> str:
-    """In a word."""
-    return VERDICTS[int(rows[f"{name}.verdict"]["value"])]
-
-
 def _row(rows: Rows, name: str) -> Row:
     seconds, own = rows.get(f"{name}.seconds"), rows["seconds-per-spp"]["value"]
     cells = [_verdict(rows, name)]
     if seconds is None:
-        cells += [Cell(missing=_ONLY_LIGHT)] * 2
+        cells += [Cell(missing=ONLY_LIGHT)] * 2
     else:
         value, low, high = (1e3 * seconds[k] for k in ("value", "ci_low", "ci_high"))
         cells += [Cell(value, low, high), _percent(seconds["value"] / own)]
@@ -145,19 +86,6 @@ def _row(rows: Rows, name: str) -> Row:
     cells.append(_interval(change))
     cells += [Cell(rows["noise"]["value"]), Cell(rows[f"{name}.flip"]["value"])]
     cells.append(Cell(rows["flip-noise"]["value"]))
-    return Row(name, cells)
-
-
-def _counts(rows: Rows, name: str) -> Row:
-    cells = []
-    for kind in _COUNTS:
-        count = rows.get(f"{name}.{kind}")
-        if count is None:
-            cells.append(Cell(missing=_ONLY_LIGHT))
-        else:
-            # A count of a few samples; its third digit is chance.
-            value = round(count["value"], 2) + 0.0
-            cells.append(Cell(count["value"], text=f"{value:g}"))
     return Row(name, cells)
 
 

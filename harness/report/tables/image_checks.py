@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from harness.analysis import numbers
+from harness.analysis.bias import LEVEL
 from harness.analysis.combine import Estimate
 from harness.analysis.results import MethodColumn, Results
 from harness.report.table import Cell, Row, Section, Table
-from harness.report.tables.bias import LEVEL
 from harness.report.tables.common import cell, circumstances
 from harness.stats.ztest import holm
 
+ORDER = 100
 MEASURE = "image-checks"
 CHECKS = {
     "furnace": "furnace: constant light against the albedo",

@@ -9,6 +9,7 @@ from harness.report.table import Cell, Row, Section, Table, embolden
 from harness.report.tables.common import BOLD_LEGEND, as_baseline, circumstances
 from harness.stats.intervals import geometric_mean, mean_interval
 
+ORDER = 120
 MEASURE = "importance-maps"
 LOBES = (("broad", 0.25, 2.0), ("glossy", 0.02, 0.25), ("narrow", 0.0, 0.02))
 """By the effective share of the disk that a slice covers."""

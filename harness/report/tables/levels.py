@@ -5,6 +5,7 @@ from __future__ import annotations
 from harness.analysis.results import Results
 from harness.report.table import Cell, Row, Section, Table
 
+ORDER = 130
 MEASURE, TIMES = "levels", "stages"
 _METRICS = (("mse", "MSE [1]"), ("flip", "FLIP [1]"), ("ssim", "SSIM of log(1 + f) [1]"))
 _FACTS = (

@@ -7,6 +7,7 @@ from harness.analysis.results import Results
 from harness.report.table import Section, Table
 from harness.report.tables.common import circumstances, legend, material_rows
 
+ORDER = 40
 MEASURE = "pdf"
 _METRICS = (
     ("kl", "KL(p* ∥ p) [nats]", arithmetic_mean, "mean", True),

@@ -6,13 +6,14 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from harness.analysis import numbers
+from harness.analysis.bias import bias_warnings
 from harness.analysis.combine import Estimate
 from harness.analysis.ranking import MEASURE, Standing, standings
 from harness.analysis.results import MethodColumn, Results
 from harness.report.table import Cell, Row, Section, Table, embolden
-from harness.report.tables.bias import bias_warnings
 from harness.report.tables.common import cell, circumstances
 
+ORDER = 80
 Warnings = Callable[[str, str, str], str]
 """(material, method, scene) -> what makes the method's number doubtful."""
 _COLUMNS = ["geometric mean", "best on", "render spread", "training spread"]

@@ -7,6 +7,7 @@ from harness.analysis.results import Results
 from harness.report.table import Section, Table
 from harness.report.tables.common import circumstances, legend, material_rows
 
+ORDER = 110
 MEASURE = "sample-weights"
 _SECTIONS = (
     ("relative-variance-median", "relative variance of one sample, median condition [1]", "low"),

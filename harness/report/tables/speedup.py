@@ -1,83 +1,24 @@
-"""Speed-up factors over the baseline: the paper's Table 2, and the same at equal samples."""
+"""Speed-up factors over the baseline, at equal time or at equal samples."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
 
+from harness.analysis.bias import bias_warnings
 from harness.analysis.combine import Estimate, geometric_mean, ratio
 from harness.analysis.marks import disturbed
 from harness.analysis.results import MethodColumn, Results
-from harness.report.published.neusample import neusample
-from harness.report.table import Cell, Row, Section, Table
-from harness.report.tables.bias import bias_warnings
+from harness.report.table import Row, Section, Table
 from harness.report.tables.common import as_baseline, circumstances, legend, material_rows
 
 _MEAN_LEGEND = "Geometric mean: the materials as given; its interval is that of the measurements."
 
 
-def table2(results: Results) -> Table | str:
-    """Speed-up at equal time: (variance x seconds per sample) of the baseline over the method's."""
-    caption = (
-        "The runtime that {baseline} needs for equal quality over the runtime of the method: "
-        "(variance × seconds per sample) of the one over that of the other (×, higher is better)."
-    )
-    table = _speedups(
-        results, "table2", "Speed-up at equal time", "speedup-equal-time", caption, timed=True
-    )
-    return table if isinstance(table, str) else _beside_the_paper(table, results)
-
-
-def equal_spp(results: Results) -> Table | str:
-    """Speed-up at equal samples: variance of one sample of the baseline over the method's."""
-    caption = (
-        "Variance of one sample of {baseline} over that of the method (×, higher is better): "
-        "the speed-up if sampling cost nothing."
-    )
-    return _speedups(
-        results, "equal-spp", "Improvement at equal samples", "speedup-equal-spp", caption
-    )
-
-
-def _beside_the_paper(table: Table, results: Results) -> Table:
-    """The table with the paper's own below, under its names of materials; nothing is mixed."""
-    paper = neusample()
-    columns = [paper.speed_ups(method.name) for method in results.methods]
-    if not any(columns):
-        return table
-    absent = f"not in {paper.table2['number']} of {paper.short}"
-    rows = [
-        Row(
-            material,
-            [
-                Cell(found[material], text=_as_published(found[material]), ceiling=method.ceiling)
-                if found
-                else Cell(missing=absent, ceiling=method.ceiling)
-                for found, method in zip(columns, results.methods, strict=True)
-            ],
-        )
-        for material in paper.table2["rows"]
-    ]
-    number = paper.table2["number"]
-    return replace(
-        table,
-        sections=[*table.sections, Section(f"{paper.short}, {number}, as published", rows)],
-        legend=[
-            *table.legend,
-            f"{paper.short}: {paper.table2['about']}. Its materials are others than ours, and it "
-            f"gives no intervals. {paper.citation}.",
-        ],
-    )
-
-
-def _as_published(value: float) -> str:
-    """With the paper's own digits."""
-    return "1×" if value == 1 else f"{value:.2f}×"
-
-
-def _speedups(
+def speedups(
     results: Results, name: str, title: str, metric: str, caption: str, timed: bool = False
 ) -> Table | str:
+    """A section per scene, a row per material, their geometric mean below."""
     # The timed measure compares with the baseline batch by batch; without it, the ratio of the
     # two recorded variances serves for equal samples.
     measure = "equal-time" if timed or results.has("equal-time") else "equal-spp"
@@ -88,6 +29,7 @@ def _speedups(
         Section(scene, _rows(results, measure, metric, scene, warnings))
         for scene in results.scenes(measure)
     ]
+    caption = caption.format(baseline=results.baseline or "the baseline")
     if len(sections) == 1:
         caption += f" Scene: {sections[0].title}."
         sections = [replace(sections[0], title="")]
@@ -101,7 +43,7 @@ def _speedups(
     return Table(
         name=name,
         title=title,
-        caption=f"{caption.format(baseline=results.baseline or 'the baseline')} {said}".strip(),
+        caption=f"{caption} {said}".strip(),
         corner="material",
         columns=[method.label for method in results.methods],
         sections=sections,

@@ -8,6 +8,7 @@ from harness.analysis.verdicts import MEASURE, CaseRow, Entry, case_rows, false_
 from harness.report.table import Cell, Row, Section, Table
 from harness.report.tables.common import circumstances
 
+ORDER = 90
 _WORDS = {"pass": "pass", "degraded": "degraded", "fail": "FAIL"}
 _COUNTED = (("pass", "pass"), ("degraded", "degraded"), ("fail", "FAIL"), ("skip", "no answer"))
 _LEGEND = (

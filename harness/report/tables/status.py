@@ -6,6 +6,7 @@ from harness.analysis.results import Results
 from harness.report.table import Cell, Row, Section, Table
 from harness.store.stored import NOT_RUN
 
+ORDER = 160
 _COLUMNS = ("method", "measure", "status", "reason")
 
 

@@ -11,6 +11,7 @@ from harness.report.published.neusample import Published, neusample
 from harness.report.table import Cell, Row, Section, Table
 from harness.report.tables.common import cell, circumstances
 
+ORDER = 10
 MEASURE = "cost"
 _PARTS = ("sampling", "material", "rest")
 _TIMES = (

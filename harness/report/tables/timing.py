@@ -13,6 +13,7 @@ from harness.analysis.results import MethodColumn, Results
 from harness.report.table import Cell, Row, Section, Table
 from harness.report.tables.common import cell, circumstances
 
+ORDER = 60
 _FITTED: tuple[tuple[str, str, Callable[[float], str]], ...] = (
     ("fit-seconds", "fit", numbers.duration),
     ("load-seconds", "load", numbers.duration),

@@ -1,0 +1,41 @@
+"""Bias tests of a run taken together: z-tests of mean images, corrected for their number."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from harness.analysis.results import Results
+from harness.stats.ztest import holm
+
+LEVEL = 0.05
+"""Chance that any unbiased method at all is called biased, over the whole table."""
+MEASURE = "equal-spp"
+
+Key = tuple[str, str, str]
+"""(material, method label, scene)"""
+
+
+def corrected_p(results: Results) -> dict[Key, float]:
+    """Holm-corrected p-values of all tests stored; the smallest over seeds for each cell."""
+    rows = results.frame
+    rows = rows[(rows["measure"] == MEASURE) & (rows["metric"] == "bias-p")]
+    rows = rows[(rows["status"] == "ok") & rows["value"].notna()]
+    keys = list(zip(rows["material"], rows["method"], rows["scene"], strict=True))
+    corrected: dict[Key, float] = {}
+    for key, p in zip(keys, holm(rows["value"]), strict=True):
+        corrected[key] = min(float(p), corrected.get(key, 1.0))
+    return corrected
+
+
+def bias_warnings(results: Results) -> Callable[[str, str, str], str]:
+    """(material, method, scene) -> the warning to put on a speed-up; "" if unbiased."""
+    corrected = corrected_p(results)
+
+    def warning(material: str, method: str, scene: str) -> str:
+        if corrected.get((material, method, scene), 1.0) >= LEVEL:
+            return ""
+        return (
+            "biased: the mean image differs from the reference by more than noise (table of bias)"
+        )
+
+    return warning
