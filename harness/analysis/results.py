@@ -54,6 +54,8 @@ class Results:
     frame: pd.DataFrame
     plan: dict[str, Any]
     found: dict[str, Stored]
+    whole: pd.DataFrame | None = None
+    """Where ``frame`` is a part that is to be shown: all rows."""
 
     @classmethod
     def load(cls, folder: str | Path, all: bool = False) -> Results:
@@ -66,12 +68,14 @@ class Results:
         return cls(Path(folder), table, plan, trials)
 
     def restricted(self, allowed: Mapping[str, Collection[str]]) -> Results:
-        """The part with these labels by column; a column that is not named is not restricted."""
-        keep = self.frame.index == self.frame.index
+        """The part with these labels by column; a column that is not named is not restricted.
+
+        What is shown is restricted, not what it is compared with, such as the baseline.
+        """
+        keep = np.ones(len(self.frame), bool)
         for column, values in allowed.items():
-            keep &= self.frame[column].isin(values)
-        rows = [t for t in self.plan["trials"] if all(t[k] in v for k, v in allowed.items())]
-        return Results(self.folder, self.frame[keep], {**self.plan, "trials": rows}, self.found)
+            keep &= self.frame[column].isin(values).to_numpy()
+        return replace(self, frame=self.frame[keep], whole=self._whole)
 
     # --- what there is, in the suite's order -------------------------------------------------
 
@@ -88,11 +92,11 @@ class Results:
 
     def scenes(self, measure: str) -> list[str]:
         """Scenes in which the measure is taken; [""] for a measure without one."""
-        return list(dict.fromkeys(row["scene"] for row in self.rows(measure)))
+        return list(dict.fromkeys(self.frame.loc[self.frame["measure"] == measure, "scene"]))
 
     def has(self, measure: str) -> bool:
         """Whether the suite asks for the measure (its trials may all have failed)."""
-        return bool(self.rows(measure))
+        return bool((self.frame["measure"] == measure).any())
 
     @cached_property
     def baseline(self) -> str:
@@ -211,6 +215,10 @@ class Results:
 
     # --- inside ------------------------------------------------------------------------------
 
+    @property
+    def _whole(self) -> pd.DataFrame:
+        return self.frame if self.whole is None else self.whole
+
     @cached_property
     def _made(self) -> dict[tuple[Callable, tuple[str, ...]], Any]:
         return {}
@@ -219,7 +227,7 @@ class Results:
     def _index(self) -> dict[tuple[str, str | None, str | None], list[dict[str, Any]]]:
         """Rows by (measure, material, method), and by those with None for any."""
         index: dict[tuple[str, str | None, str | None], list[dict[str, Any]]] = {}
-        for row in self.frame.to_dict("records"):
+        for row in self._whole.to_dict("records"):
             for material in (row["material"], None):
                 for method in (row["method"], None):
                     index.setdefault((row["measure"], material, method), []).append(row)

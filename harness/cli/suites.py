@@ -51,9 +51,10 @@ def run_and_report(plan: Plan, results: Path, options: Options) -> int:
     status = run(plan, results, options, console)
     if not options.dry_run and status != INTERRUPTED:
         from harness.report import write as reports
+        from harness.runner.only import parse
 
         loaded = reports.load(results)
         files = loaded.write()
-        loaded.print(console)
+        loaded.of_part(parse(options.only, plan).allowed).print(console)
         console.print(f"report: {files[0]}", soft_wrap=True)
     return status

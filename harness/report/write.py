@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -30,10 +30,13 @@ class Report:
     skipped: list[str]
 
     @classmethod
-    def of(cls, folder: Path) -> Report:
-        """The tables that the folder's suite asks for."""
-        results = Results.load(folder)
+    def of(cls, results: Results) -> Report:
+        """The tables that the results' suite asks for."""
         return cls(results, *_tables(results))
+
+    def of_part(self, allowed: Mapping[str, Collection[str]]) -> Report:
+        """The report of a part of the results: labels allowed by column, others as they are."""
+        return Report.of(self.results.restricted(allowed)) if allowed else self
 
     def write(self, notify: Callable[[str], None] = lambda message: None) -> list[Path]:
         """All of ``report/``, the page first, and figures too.
@@ -58,7 +61,7 @@ class Report:
         for name in _names(self.results, "figures", figures):
             notify(f"figure {name}")
             drawn = figures[name].load()(self.results, canvas)
-            if isinstance(drawn, str):
+            if isinstance(drawn, str) and self.results.wanted("figures") is not None:
                 skipped.append(f"figure {name}: {drawn}")
         written += [path for figure in canvas.drawn for path in figure.files]
         index = report / "index.html"
@@ -86,10 +89,10 @@ def _tables(results: Results) -> tuple[list[Table], list[str]]:
     names = _names(results, "tables", known)
     for name in [*(n for n in names if n != "status"), "status"]:
         table = known[name].load()(results)
-        if isinstance(table, str):
-            skipped.append(f"table {name}: {table}")
-        else:
+        if not isinstance(table, str):
             tables.append(table)
+        elif results.wanted("tables") is not None:
+            skipped.append(f"table {name}: {table}")
     return tables, skipped
 
 
@@ -116,4 +119,4 @@ def _forget_old(report: Path, written: list[Path]) -> None:
 
 def load(results_dir: str | Path) -> Report:
     """The report of a results folder, to be written or printed."""
-    return Report.of(Path(results_dir))
+    return Report.of(Results.load(results_dir))

@@ -93,6 +93,8 @@ def circumstances(results: Results, measure: str, *counts: str, timed: bool = Fa
             text += f" Machine: {'; '.join(machines)}."
         if len(machines) > 1:
             text += " Times of different machines are not to be compared."
+    for reason, count in results.stale(measure).items():
+        text += f" {count} trial{'s' * (count != 1)} {reason}."
     return text.strip()
 
 
