@@ -230,7 +230,8 @@ def test_cost():
         assert found["seconds-per-spp"] == pytest.approx(np.median(outcome.arrays["seconds"]))
         per_row = np.median(outcome.arrays["sample_seconds"]) / found["batch"]
         assert found["seconds-per-million-samples"] == pytest.approx(1e6 * per_row)
-        metering = outcome.arrays["metered_seconds"] / outcome.arrays["bare_of_metered_seconds"]
+        raw = Raw(outcome.arrays)
+        metering = raw.floats("metered_seconds") / raw.floats("bare_of_metered_seconds")
         assert found["metering-overhead"] == pytest.approx(np.median(metering) - 1)
         # A ray that grazes the silhouette may hit the back by rounding: a point, no sample.
         assert found["sample-rows"] <= found["shading-points"]

@@ -174,6 +174,14 @@ def values(outcome: Outcome) -> dict[str, float]:
     return found
 
 
+def assert_same_bytes(*outcomes: Outcome, names: tuple[str, ...]) -> None:
+    """What is the same for all methods is stored once: the arrays have the same bytes."""
+    for name in names:
+        first, *others = (o.arrays[name] for o in outcomes)
+        for other in others:
+            assert (other.dtype, other.tobytes()) == (first.dtype, first.tobytes()), name
+
+
 # --- pdf -------------------------------------------------------------------------------
 
 
@@ -248,7 +256,7 @@ def test_pdf_facts_of_the_material():
 def test_pdf_uses_the_same_conditions_for_all_methods():
     """So that their differences are theirs."""
     outcomes = [measured("pdf", m, Plain(), conditions=8) for m in (Uneven(), Uneven(0.3))]
-    assert np.array_equal(*(o.arrays["condition"] for o in outcomes))
+    assert_same_bytes(*outcomes, names=("condition", "negative-share"))
 
 
 # --- slices ----------------------------------------------------------------------------
@@ -275,6 +283,11 @@ def test_slices():
     assert kl.shape == mse.shape == (2,) and (kl > 0.1).all()
     assert mse == pytest.approx(np.nanmean((target - density) ** 2, (1, 2)))
     assert values(outcome)["kl-mean"] == pytest.approx(kl.mean())
+
+
+def test_slices_have_one_target_for_all_methods():
+    outcomes = [measured("slices", m, Still(), count=1, grid=16) for m in (Uneven(), Uneven(0.5))]
+    assert_same_bytes(*outcomes, names=("target", "condition"))
 
 
 def test_slices_of_the_target_itself():
@@ -329,6 +342,11 @@ def test_bias():
         )
         assert outcome.images["mean"].shape == (16, 16, 3)
     assert values(right)["spp"] == 6 * 64
+    # The first render's reference is that of the other, which had no second.
+    assert_same_bytes(biased, right, names=("pixels",))
+    reference = biased.arrays["first_reference_blocks"]
+    assert reference.tobytes() == right.arrays["reference_blocks"].tobytes()
+    assert not any(name.startswith("first") for name in right.arrays)
     variance = {r.metric: r for r in right.records}["variance"]
     assert 0 < variance.ci_low < variance.value < variance.ci_high
 

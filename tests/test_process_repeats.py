@@ -103,6 +103,12 @@ def test_disturbed_is_what_the_pooled_interval_says() -> None:
     assert wide.reason.startswith("disturbed: interval wider than 10% over 3 processes: time-ratio")
 
 
+def test_other_reasons_of_a_disturbed_process_are_kept() -> None:
+    first = one(1.99, disturbed=1.0)
+    first.reason = "disturbed: interval wider than 10%: render 12%, sample 11%; no peak here"
+    assert numbers(first, one(2.0), one(2.01)).reason == "no peak here"
+
+
 def test_the_baseline_is_judged_by_its_times() -> None:
     def base(seconds: float) -> Outcome:
         found = one(1.0, seconds)

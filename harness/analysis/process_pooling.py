@@ -69,7 +69,9 @@ def pooled(
         for r in _decisive(records, own_times)
         if not r.ci_high - r.ci_low <= tolerance * r.value
     ]
-    reasons = [one.reason for one in processes if one.reason and not disturbed(one)]
+    # That one process was disturbed is no news of all; what else there is to say stays.
+    said = [part for one in processes for part in one.reason.split("; ")]
+    reasons = [part for part in said if part and not part.startswith(DISTURBED)]
     if wide:
         many = f"over {len(processes)} processes"
         reasons.append(f"disturbed: interval wider than {tolerance:.0%} {many}: {', '.join(wide)}")

@@ -53,7 +53,7 @@ def resolve(
     """The scene with the effects that ``auto`` stands for, for this material.
 
     From all that the scene has and the material can give, effects are left out one after the
-    other, the dearest first; one stays out if the image of what is left is still that of all
+    other, the costliest first; one stays out if the image of what is left is still that of all
     within the tolerance: the upper end of the interval of the relative mean squared error
     (:mod:`harness.stats.difference`) is at most its square. One that noise leaves undecided
     stays in. Of bounces the fewest that do. Light sampling changes no image; it stays if it
@@ -93,7 +93,7 @@ class _Search:
 
     def run(self) -> None:
         """Leave out what can be."""
-        for text in sorted(self.choice.everything, key=_dearest_first):
+        for text in sorted(self.choice.everything, key=_costliest_first):
             name = name_of(text)
             if name == "emitter-sampling":
                 continue
@@ -191,8 +191,8 @@ class _Search:
 _ORDER = ("media", "multiple-scattering", "indirect", "area-lights", "point-lights", "environment")
 
 
-def _dearest_first(text: str) -> int:
-    """What is usually dearest; where two effects stand in for each other, the first goes."""
+def _costliest_first(text: str) -> int:
+    """What usually costs most; where two effects stand in for each other, the first goes."""
     name = name_of(text)
     others = [*_ORDER, *(n for n in EFFECTS if n not in _ORDER)]
     return others.index(name)

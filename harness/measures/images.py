@@ -1,4 +1,4 @@
-"""What several image measures share: reference images, and a look at every render."""
+"""What several image measures share: reference images, and a check of every render."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from harness.rendering.prepared import prepare, prepare_native
 
 KEPT = 2
 """References remembered: all methods of a material come one after the other, and one measure
-may look at two scenes."""
+may have two scenes."""
 
 _references: dict[tuple, tuple[Pass, Any, Any]] = {}
 

@@ -67,7 +67,7 @@ def enter(job: Job, settings: RenderSettings, notify: Callable[[str], None]) -> 
         wanted = int(settings.slice_seconds / (seconds / entrant.spp))
         grow = wanted > 1.5 * entrant.spp
         # At least two samples a pixel: one has no variance. At most eight times as many at once:
-        # a launch costs the same for all of them, so few samples look dearer than they are.
+        # a launch costs the same for all of them, so few samples seem to cost more than they do.
         entrant.spp = max(2, min(wanted, 8 * entrant.spp))
         if not grow:
             return entrant
