@@ -160,3 +160,12 @@ def test_only_one_place_sets_mitsubas_variant():
 
 def _calls(node: ast.AST, name: str) -> bool:
     return isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == name
+
+
+def test_the_documented_layers_are_those():
+    text = (ROOT / "docs" / "architecture.md").read_text("utf-8")
+    block = text[text.index("    cli\n") : text.index("`tests/test_architecture.py` holds")]
+    listed = re.findall(r"[a-z_]+", block)
+    place = {name: i for i, name in enumerate(LAYERS)}
+    assert set(listed) == set(LAYERS) - {"harness"}
+    assert [place[name] for name in listed] == sorted(place[name] for name in listed)
