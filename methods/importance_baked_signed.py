@@ -81,7 +81,7 @@ class ImportanceBakedSigned(ImportanceBakedPublished):
         return x, dr.fma(2, t[1], -1) * chord, 4 * det * chord
 
     def _value_columns(self, c: Columns, x: Float, y: Float) -> Any:
-        if hasattr(self.material, "eval_columns"):
+        if callable(getattr(self.material, "eval_columns", None)):
             f = self.material.eval_columns(c, [x, y])
             return [f[0], f[1], f[2]]
         n = max(dr.width(v) for v in (*c, x, y))

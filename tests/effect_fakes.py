@@ -12,7 +12,8 @@ from torch import Tensor
 from harness.core.protocol import counting
 from harness.core.protocol.disk import inside_disk
 from harness.core.protocol.material import Material
-from harness.scenes.base import AreaLamp, Camera, PointLamp, Scene, Sphere
+from harness.geometry.primitives import Sphere
+from harness.scenes.base import AreaLamp, Camera, PointLamp, Scene
 
 OWN = frozenset({"parallax", "prefiltering", "multiple-scattering", "media"})
 

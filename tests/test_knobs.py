@@ -86,14 +86,14 @@ ENDS = [
     # A table of 2048 cells a side for every row is for the check of the adapter, not here.
     if not knob.name.startswith("budget.") and knob.values[end] not in ("float32", 2048)
 ]
-DEAR = [
+SLOW_KNOBS = [
     e for e in ENDS if e[1] not in STRUCTURE or (e[0] == "histogram-mixture" and e[2] in (20, 300))
 ]
 
 
 @pytest.mark.parametrize(
     ("name", "knob", "value"),
-    [pytest.param(*e, marks=pytest.mark.slow if e in DEAR else ()) for e in ENDS],
+    [pytest.param(*e, marks=pytest.mark.slow if e in SLOW_KNOBS else ()) for e in ENDS],
 )
 def test_every_setting_is_a_correct_sampler(name, knob, value):
     """At both ends of every knob samples follow the pdf, and it integrates to the valid share."""

@@ -574,7 +574,7 @@ def test_throughput_of_exactly_so_many_rows() -> None:
 
 
 def test_uneven_is_a_correct_sampler():
-    """What these tests lean on."""
+    """What these tests rest on."""
     u = torch.rand(100_000, 3, generator=torch.Generator().manual_seed(0))
     method = Uneven(0.5, lost=0.2)
     wo, density = method.sample(torch.zeros(100_000, 2), u)

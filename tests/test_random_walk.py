@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from harness.checks.approximate_pdf import as_declared, check_own_weights
+from harness.checks.approximate_pdf import as_declared, check_approximate_pdf
 from harness.checks.finding import Finding
 from harness.checks.run import run_checks
 from harness.checks.subject import Case, Subject
@@ -74,21 +74,21 @@ def test_weights_by_default():
 # --- checks ----------------------------------------------------------------------------
 
 
-def own_weights(method) -> dict[str, Finding]:
+def approximate_pdf(method) -> dict[str, Finding]:
     """Findings of one condition, by name."""
     subject = Subject(method, method, method.material, "cpu", rng(7))
     case = Case("oblique", torch.tensor([0.5, -0.4]))
-    return {f.property: f for f in check_own_weights(subject, case, 1e-4)}
+    return {f.property: f for f in check_approximate_pdf(subject, case, 1e-4)}
 
 
 def test_checks_take_it_at_its_word():
-    """What an approximate density cannot have is degraded; the walk's own weights are tested."""
+    """What an approximate density cannot have is degraded; the walk's weights are tested."""
     found = run_checks(RandomWalk(), family("ggx-conductor", **BRASS), only=("samples-pdf",))
     assert all(f.ok for f in found), [f.line() for f in found if not f.ok]
     density = [f for f in found if f.property == "samples-pdf"]
     assert density and all(f.verdict == "degraded" for f in density)
     assert all("approximation, as declared" in f.text for f in density)
-    found = own_weights(bound(RandomWalk(), family("ggx-conductor", 4, **BRASS)))
+    found = approximate_pdf(bound(RandomWalk(), family("ggx-conductor", 4, **BRASS)))
     assert set(found) == {"invalid", "weights", "largest-weight", "tail-index"}
     assert all(f.verdict == "pass" for f in found.values())
     assert found["weights"].number > 0.9
@@ -118,9 +118,9 @@ class Undeclared(RandomWalk):
 
 def test_planted_faults_are_found():
     material = family("ggx-conductor", 4, **BRASS)
-    found = own_weights(bound(Brighter(), material))["weights"]
-    assert not found.ok and "own weights: mean" in found.text and found.worst
-    found = own_weights(bound(Divided(), material))
+    found = approximate_pdf(bound(Brighter(), material))["weights"]
+    assert not found.ok and "sample weights: mean" in found.text and found.worst
+    found = approximate_pdf(bound(Divided(), material))
     assert not found["weights"].ok and "not finite" in found["weights"].text
     findings = run_checks(Undeclared(), material, only=("samples-pdf",))
     assert any(f.property == "samples-pdf" and not f.ok for f in findings)

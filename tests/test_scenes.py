@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 
 from harness.core.protocol.errors import InputError
+from harness.geometry.primitives import Mesh, Sphere
 from harness.geometry.shapes import cloth_mesh, sphere_mesh
 from harness.geometry.solids import box, panel, ring, runner, turned
 from harness.scenes import environment, registry
-from harness.scenes.base import Mesh, Scene, Sphere, XmlScene
+from harness.scenes.base import Scene, XmlScene
 
 XML = """<scene version="3.0.0">
   <sensor type="perspective"/>

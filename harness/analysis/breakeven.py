@@ -1,4 +1,4 @@
-r"""When a dearer method has paid for itself: total time to a given error, as straight lines.
+r"""When a costlier method has paid for itself: total time to a given error, as straight lines.
 
 The unit of work is one sample of the reference method: after :math:`N` of them its error is
 :math:`v_r / N`, and a method of variance :math:`v` reaches the same with :math:`N v / v_r`

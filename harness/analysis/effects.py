@@ -26,7 +26,7 @@ def trials(results: Results) -> dict[tuple[str, str, str], Rows]:
 
 
 def effects_of(rows: Rows) -> list[str]:
-    """Names of the effects with a verdict: those called for first, each kind dearest first."""
+    """Names of the effects with a verdict, in order of decreasing cost, those called for first."""
     names = [m.removesuffix(".verdict") for m in rows if m.endswith(".verdict")]
 
     def order(name: str) -> tuple[bool, float]:

@@ -34,7 +34,7 @@ OF_THE_DENSITY = ("integral", "samples-pdf", "tail", "mitsuba-chi2")
 """Properties that an approximate pdf cannot have."""
 
 
-def check_own_weights(subject: Subject, case: Case, alpha: float) -> Iterator[Finding]:
+def check_approximate_pdf(subject: Subject, case: Case, alpha: float) -> Iterator[Finding]:
     """Findings of the same names as :func:`harness.checks.weights.check_weights`."""
     found = evidence(subject, case)
     wo, _, rgb = subject.method.sample_weighted(found.condition.clone(), found.u.clone())
@@ -59,11 +59,12 @@ def check_own_weights(subject: Subject, case: Case, alpha: float) -> Iterator[Fi
     mean, spread = float(weight.mean()), float(weight.std(ddof=1)) / math.sqrt(len(weight))
     allowed = stats.norm.isf(alpha / 2) * math.hypot(spread, error) + ROUNDING * expected
     number = efficiency(weight) if mean > 0 else 0.0
-    text = f"own weights: mean {mean:.5g}, albedo {expected:.5g}; efficiency {number:.3g}"
+    text = f"sample weights: mean {mean:.5g}, albedo {expected:.5g}; efficiency {number:.3g}"
     worst = {}
     verdict = "degraded" if number < INEFFICIENT else "pass"
     if not abs(mean - expected) <= allowed:
-        verdict, text = "fail", f"own weights: mean {mean:.5g}, not {expected:.5g} +- {allowed:.2g}"
+        verdict = "fail"
+        text = f"sample weights: mean {mean:.5g}, not {expected:.5g} +- {allowed:.2g}"
         worst = {
             "condition": rounded(case.row),
             "got": f"{mean:.6g}",

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 from harness.checks import batches, calling, density, devices, distribution, edges, precision
-from harness.checks.approximate_pdf import check_own_weights
+from harness.checks.approximate_pdf import check_approximate_pdf
 from harness.checks.finding import Finding
 from harness.checks.gradients import check_gradients
 from harness.checks.invertible import check_invertible
@@ -31,7 +31,7 @@ class CaseProperty:
 
 def _check_weights(subject: Subject, case: Case, alpha: float) -> Found:
     """Of f/pdf, or of what a method whose pdf is no more than an approximation gives itself."""
-    check = check_weights if subject.method.exact_pdf else check_own_weights
+    check = check_weights if subject.method.exact_pdf else check_approximate_pdf
     return check(subject, case, alpha)
 
 

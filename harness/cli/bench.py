@@ -28,13 +28,13 @@ def register(app: typer.Typer) -> None:
         from rich.console import Console
         from rich.table import Table
 
-        from harness.bench import effect_overhead as lean
+        from harness.bench import effect_overhead
         from harness.bench.adapters import run
 
         console = Console()
         with console.status("preparing") as status:
             if effects:
-                rows = lean.run(device, rounds, status.update)
+                rows = effect_overhead.run(device, rounds, status.update)
             else:
                 rows = run(methods, material, scene, device, rounds, steps, status.update)
         table = Table(title=rows.title, caption=rows.caption)

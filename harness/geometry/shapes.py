@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from harness.scenes.base import Mesh, Sphere
+from harness.geometry.primitives import Mesh, Sphere
 
 
 def grid_faces(rows: int, columns: int) -> NDArray[np.uint32]:

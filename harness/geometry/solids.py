@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from harness.geometry.primitives import Mesh
 from harness.geometry.shapes import grid_faces
-from harness.scenes.base import Mesh
 
 Points = Sequence[tuple[float, float]]
 

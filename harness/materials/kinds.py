@@ -18,7 +18,7 @@ from harness.materials.families import registry as families
 from harness.materials.hard import registry as hard
 from harness.materials.neural import files as neural
 from harness.microgeometry import btf_file
-from harness.scenes import mitsuba_xml
+from harness.mitsuba_runtime import mitsuba_xml
 
 
 class Kind(ABC):

@@ -14,6 +14,7 @@ from harness.core.columns.bridge import Columns, Float, columns_of, tensor_of
 from harness.core.columns.material import ColumnMaterial
 from harness.core.protocol.errors import InputError
 from harness.core.protocol.material import Material
+from harness.mitsuba_runtime.bitmaps import with_bitmaps
 
 
 def _mi() -> Any:
@@ -88,6 +89,10 @@ class MitsubaMaterial(ColumnMaterial):
             plain._identity = {**self._identity, "effects": []}
             self._plain = plain
         return self._plain
+
+    def mitsuba_bsdf(self) -> Any:
+        """See :meth:`Material.mitsuba_bsdf`."""
+        return self.bsdf
 
     def identity(self) -> dict[str, Any]:
         """See :meth:`Material.identity`."""
@@ -192,16 +197,6 @@ class MitsubaMaterial(ColumnMaterial):
             )
         if mi.has_flag(flags, mi.BSDFFlags.Transmission):
             raise InputError(f"material '{self.name}': transmits light; expected a reflective BSDF")
-
-
-def with_bitmaps(mi: Any, node: Any) -> Any:
-    """A copy of a Mitsuba dictionary whose texel arrays are Mitsuba bitmaps."""
-    if not isinstance(node, dict):
-        return node
-    node = {key: with_bitmaps(mi, value) for key, value in node.items()}
-    if node.get("type") == "bitmap" and "array" in node:
-        node["bitmap"] = mi.Bitmap(node.pop("array"))
-    return node
 
 
 def _varying_textures(mi: Any, bsdf: Any) -> list[tuple[str, Any]]:

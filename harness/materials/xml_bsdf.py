@@ -9,7 +9,7 @@ from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
 
 from harness.core.protocol.errors import InputError, nearest
-from harness.scenes import mitsuba_xml
+from harness.mitsuba_runtime import mitsuba_xml
 
 _CONTEXT = ("default", "texture", "bsdf", "spectrum", "include", "alias")
 """Elements of a scene that a BSDF may refer to."""

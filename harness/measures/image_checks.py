@@ -16,6 +16,7 @@ from pydantic import Field
 from harness.core.protocol.disk import square_to_disk
 from harness.core.protocol.errors import BudgetExceeded
 from harness.core.protocol.material import Material
+from harness.geometry.primitives import Sphere
 from harness.geometry.shapes import sphere_mesh
 from harness.measures.base import Job, Measure, Outcome
 from harness.measures.base import Settings as BaseSettings
@@ -25,7 +26,7 @@ from harness.measures.images import reference, too_slow
 from harness.rendering import misreported
 from harness.rendering.misreported import MisreportedBSDF
 from harness.rendering.prepared import Prepared, prepare
-from harness.scenes.base import Camera, Scene, Sphere
+from harness.scenes.base import Camera, Scene
 from harness.stats.blocks import Blocks
 
 # Flat facets: with smoothed normals a direction above the shading horizon may lie below the

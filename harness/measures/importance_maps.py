@@ -10,6 +10,7 @@ import torch
 from pydantic import Field
 
 from harness.core.protocol.errors import Unsupported
+from harness.importance_maps.baked_method import BakedMethod
 from harness.importance_maps.maps import ImportanceMap, make_map
 from harness.importance_maps.quality import binned_error, coarse, gradients, histogram, stratified
 from harness.importance_maps.slices import Slice, slices_of
@@ -60,9 +61,9 @@ class ImportanceMaps(Measure):
         return [self._one(job, self.Settings(**job.settings), notify) for job in jobs]
 
     def _one(self, job: Job, settings: Settings, notify: Callable[[str], None]) -> Outcome:
-        kind = getattr(job.method, "kind", None)
-        if kind is None:
+        if not isinstance(job.method, BakedMethod):
             raise Unsupported(f"{job.method.name} bakes no importance maps")
+        kind = job.method.kind
         condition = job.material.conditions(settings.count, job.generator, job.budget.device)
         seed = int(torch.randint(1 << 30, (), generator=job.generator))
         rgb = slices_of(job.material, condition, settings.slice_resolution, seed).double().cpu()

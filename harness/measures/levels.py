@@ -145,9 +145,9 @@ def surface_of(material: Any) -> Any:
         Unsupported: it is no neural material, or its surface is not known or not the same
             any more.
     """
-    record = getattr(material, "record", None)
-    if not isinstance(material, NeuralMaterial) or not record:
+    if not isinstance(material, NeuralMaterial) or not material.record:
         raise Unsupported(f"material '{material.name}' has no record of a microgeometry")
+    record = material.record
     name = record["name"]
     if name not in descriptions.names():
         raise Unsupported(f"material '{material.name}': there is no description '{name}' any more")

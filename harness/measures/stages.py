@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from harness.bench import neural as bench
 from harness.core.protocol.errors import Unsupported
 from harness.materials.neural.material import NeuralMaterial
 from harness.measures.base import Job, Measure, Outcome
 from harness.measures.base import Settings as BaseSettings
 from harness.measures.compact import single
+from harness.measures.stage_times import run
 
 
 class Stages(Measure):
@@ -38,6 +38,6 @@ class Stages(Measure):
         settings = self.Settings(**job.settings)
         if not isinstance(job.material, NeuralMaterial):
             raise Unsupported(f"material '{job.material.name}' is not neural")
-        timing = bench.run(job.material, settings.rows, settings.rounds, job.budget.device)
+        timing = run(job.material, settings.rows, settings.rounds, job.budget.device)
         arrays = {name.replace(" ", "-"): single(x) for name, x in timing.seconds.items()}
         return Outcome(arrays=arrays)

@@ -27,10 +27,10 @@ from pydantic import StringConstraints, ValidationError, model_validator
 
 from harness.core.protocol.errors import InputError
 from harness.core.refusal import refusal
+from harness.core.schema import Strict, Word
 from harness.identity.source import covered, digest
 from harness.microgeometry.expressions import Expression
 from harness.microgeometry.surface import Surface
-from harness.suite.schema import Strict, Word
 from harness.textures import maps
 
 Text = str | float | int

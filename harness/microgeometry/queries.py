@@ -90,7 +90,7 @@ def energy(
     over the disk, by ``samples`` (2 or more) paths each, and standard errors [N, 3]. A lossless
     surface has 1. Surfaces that trace no energies are asked at :func:`stratified` directions.
     """
-    if hasattr(surface, "energy"):
+    if callable(getattr(surface, "energy", None)):
         with torch.inference_mode():
             found = surface.energy(
                 u, kernel, wi, samples=samples, seed=seed, depth=depth, device=device

@@ -13,8 +13,8 @@ import drjit as dr
 import numpy as np
 
 from harness.geometry.shapes import grid_faces
-from harness.materials.mitsuba_bsdf import with_bitmaps
 from harness.microgeometry.tile import Tile
+from harness.mitsuba_runtime.bitmaps import with_bitmaps
 from harness.mitsuba_runtime.variant import use
 from harness.textures.maps import bitmap
 

@@ -96,8 +96,8 @@ class TableEncoder(nn.Module):
 
     def __init__(self, material: Material):
         super().__init__()
-        named, self.direction = TABLE_1.get(getattr(material, "family", ""), ({}, _BLOB12))
-        names = [p.name for p in getattr(material, "parameters", ())]
+        named, self.direction = TABLE_1.get(material.family, ({}, _BLOB12))
+        names = [p.name for p in material.parameters]
         names += [""] * (material.n_features - len(names))
         self.features = [named.get(name, OTHER) for name in names]
         self.n_address = material.n_address

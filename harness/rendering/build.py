@@ -11,8 +11,9 @@ import numpy as np
 
 from harness.core.protocol.disk import REC709
 from harness.effects.base import Recipe
+from harness.geometry.primitives import MaterialSpec, Mesh, Sphere
 from harness.geometry.shapes import sphere_mesh
-from harness.scenes.base import AreaLamp, Camera, MaterialSpec, Mesh, PointLamp, Scene, Sphere
+from harness.scenes.base import AreaLamp, Camera, PointLamp, Scene
 
 _WEIGHTS = np.array(REC709)
 _BLACK = {

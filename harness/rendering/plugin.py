@@ -62,10 +62,8 @@ class SampledBSDF(mi.BSDF):
         self.material, self.method = material, method
         self.own_eval = type(method).eval is not Method.eval
         self.in_columns = isinstance(method, ColumnMethod)
-        self.nested = getattr(material, "bsdf", None)
-        self.eval_in_columns = self.nested is None and getattr(
-            material, "renders_in_columns", False
-        )
+        self.nested = material.mitsuba_bsdf()
+        self.eval_in_columns = self.nested is None and material.renders_in_columns
         self.shared: Columns | None = None
         self.spread = 0.0
         self.meter: Meter | None = None
@@ -171,9 +169,9 @@ class SampledBSDF(mi.BSDF):
     def _condition(self, si: Any) -> Columns:
         if self.shared is not None:
             return self.shared
-        if getattr(self.material, "prefilters", False):
+        if self.material.prefilters:
             return self.material.condition_columns(si, self.spread)
-        if hasattr(self.material, "condition_columns"):
+        if callable(getattr(self.material, "condition_columns", None)):
             return self.material.condition_columns(si)
         n = dr.width(si.wi)
         uv = tensor_of(*_full([si.uv.x, si.uv.y], n), rows=n)

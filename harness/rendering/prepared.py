@@ -20,12 +20,13 @@ from harness.core.protocol.material import Material
 from harness.core.protocol.method import Method
 from harness.effects.base import Recipe
 from harness.effects.offer import recipe_of, require_of
+from harness.geometry.primitives import MaterialSpec
 from harness.materials import registry as materials
 from harness.rendering import build, counted_light, passes, plugin
 from harness.rendering.build_xml import build_xml
 from harness.rendering.effect_wrapper import RelayBSDF, needed
 from harness.rendering.meter import Meter
-from harness.scenes.base import TESTED, MaterialSpec, Scene, XmlScene
+from harness.scenes.base import TESTED, Scene, XmlScene
 
 MakeBSDF = Callable[[Material, Method], plugin.SampledBSDF]
 Sampling = Literal["bsdf", "mis"]
@@ -104,7 +105,7 @@ def prepare_native(
     """
     recipe = _recipe(scene, material, sampling)
     material = material.with_effects(recipe.of(material.effects))
-    bsdf = getattr(material, "bsdf", None)
+    bsdf = material.mitsuba_bsdf()
     if bsdf is None:
         raise Unsupported(f"material '{material.name}' is no Mitsuba BSDF")
     if isinstance(scene, XmlScene):
@@ -194,7 +195,7 @@ def _material(key: str, spec: MaterialSpec | None) -> Material:
 def _bsdf(material: Material, recipe: Recipe, meter: Meter | None) -> mi.BSDF:
     """The BSDF of a material that is not under test: its own, or sampled by the cosine."""
     material = material.with_effects(recipe.of(material.effects))
-    own = getattr(material, "bsdf", None)
+    own = material.mitsuba_bsdf()
     if own is not None:
         return RelayBSDF(own, recipe, meter) if needed(recipe, meter) else own
     from harness.core import registry

@@ -23,6 +23,7 @@ from harness.identity.verdict import (
 )
 from harness.identity.verdict import FIT as STATE_PART
 from harness.measures import registry as measures
+from harness.scenes.base import Scene
 from harness.store.stored import Stored
 from harness.suite import source_parts
 from harness.suite.plan import Plan
@@ -103,7 +104,7 @@ class Validity:
     def _scene(self, trial: Trial) -> Part:
         def make() -> Part:
             scene = self.plan.resolved.scene(trial)
-            shapes = getattr(scene, "shapes", ())
+            shapes = scene.shapes if isinstance(scene, Scene) else ()
             around = {json.dumps(s.material): s.material for s in shapes if s.material}
             return source_parts.scene(trial.scene_spec, scene, around.values())
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from harness.scenes.base import Array
+from harness.geometry.primitives import Array
 
 
 def directions(height: int, width: int) -> NDArray[np.float64]:

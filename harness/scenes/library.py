@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from harness.geometry.primitives import Sphere
 from harness.geometry.shapes import cloth_mesh
-from harness.scenes.base import Camera, Scene, Sphere
+from harness.scenes.base import Camera, Scene
 from harness.scenes.environment import open_shade, studio
 from harness.scenes.shelf import shelf
 from harness.scenes.sizes import SCALE, Size

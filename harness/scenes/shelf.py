@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from harness.geometry.primitives import Mesh, Sphere
 from harness.geometry.solids import box, panel, ring, turned
-from harness.scenes.base import AreaLamp, Camera, Mesh, Scene, Sphere
+from harness.scenes.base import AreaLamp, Camera, Scene
 from harness.scenes.sizes import SCALE, Size
 from harness.scenes.still_life import BOTTLE, BOWL, GOBLET, JAR, WALL, plain
 

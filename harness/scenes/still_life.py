@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from harness.geometry.primitives import Mesh, Sphere
 from harness.geometry.solids import box, panel, runner, turned
-from harness.scenes.base import AreaLamp, Camera, Mesh, Scene, Sphere
+from harness.scenes.base import AreaLamp, Camera, Scene
 from harness.scenes.environment import open_shade
 from harness.scenes.sizes import SCALE, Size
 

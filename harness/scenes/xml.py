@@ -11,7 +11,7 @@ from harness.core.protocol.errors import InputError, nearest
 from harness.effects.offer import require_of
 from harness.effects.registry import checked
 from harness.materials import registry as materials
-from harness.scenes import mitsuba_xml
+from harness.mitsuba_runtime import mitsuba_xml
 from harness.scenes.base import TESTED, XmlScene
 
 KEYS = ("name", "file", "replace_bsdf", "effects")

@@ -14,7 +14,7 @@ import json
 import sqlite3
 from collections.abc import Iterable, Mapping
 from datetime import UTC, datetime
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
@@ -258,7 +258,7 @@ class ResultsFolder:
         body = {
             key: value
             for key, value in vars(trial).items()
-            if key not in ("hash", "folder", *_CACHED) and value not in ("", {}, [])
+            if key not in ("hash", "folder", "reader", *_CACHED) and value not in ("", {}, [])
         }
         for key in _SHARED:
             if key in body:
@@ -305,7 +305,8 @@ class ResultsFolder:
                 if name in data:
                     data[name] = self._opened(data[name])
             data["records"] = [_record(record) for record in data.get("records", ())]
-            return Stored(key, folder=self.folder, **{"reason": "", **data})
+            read = partial(_arrays, self.folder)
+            return Stored(key, folder=self.folder, reader=read, **{"reason": "", **data})
         except (ValueError, TypeError, KeyError) as error:
             reason = f"the stored trial is damaged: {error}; harness run measures it again"
             return Stored(key, {}, dict.fromkeys(LABELS, ""), DAMAGED, reason)
@@ -321,6 +322,11 @@ class ResultsFolder:
                 " harness run measures it again"
             )
         return data
+
+
+def _arrays(folder: Path, key: str) -> dict[str, np.ndarray]:
+    with ResultsFolder(folder) as results:
+        return results.arrays(key)
 
 
 _CACHED = ("arrays", "images", "files")

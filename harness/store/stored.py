@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -63,16 +64,13 @@ class Stored:
     """Digest of the fitted method's state, which published results name without keeping it."""
     files: dict[str, str] = field(default_factory=dict)
     """Digests of the files beside the database, by name."""
+    reader: Callable[[str], dict[str, np.ndarray]] | None = field(default=None, repr=False)
+    """Reads the raw arrays of a key; None where there are none."""
 
     @cached_property
     def arrays(self) -> dict[str, np.ndarray]:
         """Raw outputs by name."""
-        from harness.store.folder import ResultsFolder
-
-        if self.folder is None:
-            return {}
-        with ResultsFolder(self.folder) as results:
-            return results.arrays(self.hash)
+        return self.reader(self.hash) if self.reader is not None else {}
 
     @cached_property
     def images(self) -> dict[str, np.ndarray]:

@@ -8,26 +8,13 @@ from __future__ import annotations
 
 from typing import Annotated, Any, TypeVar
 
-from pydantic import (
-    BaseModel,
-    ConfigDict,
-    Field,
-    PrivateAttr,
-    StringConstraints,
-    model_validator,
-)
+from pydantic import BaseModel, ConfigDict, Field, PrivateAttr, model_validator
 
-Word = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")]
-"""A name that is also the name of a folder."""
+from harness.core.schema import Strict, Word
+
 Positive = Annotated[int, Field(gt=0)]
 T = TypeVar("T")
 Some = Annotated[list[T], Field(min_length=1)]
-
-
-class Strict(BaseModel):
-    """No unknown keys, no conversion between types."""
-
-    model_config = ConfigDict(extra="forbid", strict=True)
 
 
 class BudgetSpec(Strict):

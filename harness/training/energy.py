@@ -57,7 +57,7 @@ class Known(NamedTuple):
 
 def able(surface: Any, network: NeuralMBTF) -> bool:
     """Whether energies can be traced, and the network is of a single footprint."""
-    return hasattr(surface, "energy") and not network.architecture.pyramid
+    return callable(getattr(surface, "energy", None)) and not network.architecture.pyramid
 
 
 def draw(surface: Any, kernel: float, n: int, seed: int, device: str = "cpu") -> Known:

@@ -31,7 +31,7 @@ _BLUR, _HALVINGS = 1 / 32, 6.0
 
 def known(surface: Any) -> bool:
     """Whether rays can be traced, and hit elsewhere than in the reference plane."""
-    return hasattr(surface, "heights") and surface.depth > 0
+    return callable(getattr(surface, "heights", None)) and surface.depth > 0
 
 
 def teach(

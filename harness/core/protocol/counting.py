@@ -27,7 +27,7 @@ def add(what: str, rows: int) -> None:
 
 
 def wanted() -> bool:
-    """Whether anybody counts; to be asked first where the number of rows is dear to find."""
+    """Whether anybody counts; to be asked first where the number of rows is costly to find."""
     return bool(_open)
 
 

@@ -27,6 +27,14 @@ class Material(ABC):
     n_features: int = 0
     effects: frozenset[str] = frozenset()
     """Names of what it can do without (:mod:`harness.effects`), such as ``parallax``."""
+    family: str = ""
+    """Name of the parametric family it belongs to."""
+    parameters: tuple[Any, ...] = ()
+    """A family's parameters, which are its features."""
+    renders_in_columns: bool = False
+    """Whether a render calls its ``condition_columns(si)`` and ``eval_columns``, with no tensor."""
+    prefilters: bool = False
+    """Whether ``condition_columns`` takes the footprint of a ray as well."""
 
     @property
     def n_condition(self) -> int:
@@ -57,6 +65,10 @@ class Material(ABC):
         name what lies elsewhere. A lobe's centre may lie outside the disk.
         """
         return condition.new_empty(len(condition), 0, 2)
+
+    def mitsuba_bsdf(self) -> Any:
+        """The Mitsuba BSDF that it is, which renders then evaluate; None if it is none."""
+        return None
 
     def with_effects(self, effects: frozenset[str]) -> Material:
         """The material that runs only those of its own ``effects``; itself, if it has none.

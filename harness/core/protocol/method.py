@@ -79,7 +79,7 @@ class FitReport:
 class Knob:
     """What trades accuracy for time: a constructor's parameter, or ``budget.steps``.
 
-    ``values`` run from cheap to dear and contain the default.
+    ``values`` are in order of increasing cost and contain the default.
     """
 
     name: str

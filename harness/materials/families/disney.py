@@ -43,6 +43,10 @@ class Disney(Family):
         self._nested = MitsubaMaterial(name, bsdf, identity)
         self.bsdf = self._nested.bsdf
 
+    def mitsuba_bsdf(self) -> Any:
+        """See :meth:`Material.mitsuba_bsdf`."""
+        return self.bsdf
+
     def eval_columns(self, c: Columns, wo: Columns, seed: int = 0) -> Any:
         """See :meth:`Family.eval_columns`; a Mitsuba colour, in closed form."""
         return self._nested.eval_columns(self._placed(c), wo)

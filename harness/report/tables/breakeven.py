@@ -21,7 +21,7 @@ FLOOR = "cosine"
 _LEGEND = (
     "A number is that of samples of {reference} (over all pixels) from which on the method is "
     "ahead; 0: from the start; until: ahead only up to there, its start being cheaper and its "
-    "samples dearer; never: behind from the start, with the seconds per sample of equal quality "
+    "samples costlier; never: behind from the start, with the seconds per sample of equal quality "
     "over the rival's. Brackets: 95% interval, ∞ where it includes never.",
     "Total time to an error: load and fit, then samples × seconds per sample; a method of less "
     "variance needs fewer samples.",
@@ -102,8 +102,8 @@ def words(crossing: Crossing, line: CostLine, rival: CostLine) -> str:
     low, high = (_count(v) for v in (crossing.low, crossing.high))
     interval = "" if crossing.low == crossing.high else f" [{low}, {high}]"
     if crossing.kind == "never":
-        dearer = numbers.plain(float(line.slope[0] / rival.slope[0]), 2)
-        return f"never ({dearer}× a sample){interval}"
+        times = numbers.plain(float(line.slope[0] / rival.slope[0]), 2)
+        return f"never ({times}× a sample){interval}"
     before = "until " if crossing.kind == "until" else ""
     return f"{before}{_count(crossing.at)}{interval}"
 
