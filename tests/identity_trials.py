@@ -9,12 +9,14 @@ from pathlib import Path
 from typing import Any
 
 from harness.core.paths import ROOT
+from harness.identity import ours
 from harness.identity.cache import Cache
 from harness.identity.digests import Digests, Part, SourceDigest
 from harness.identity.tree import Tree
 from harness.measures import registry as measures
 from harness.scenes import registry as scenes
 from harness.suite import source_parts
+from harness.suite.trials import FIT
 
 TRIALS: Mapping[str, tuple[str, Any, str, Any]] = {
     "render": ("improved-baseline", "suede", "equal-spp", "studio-sphere"),
@@ -41,7 +43,7 @@ def digests_of(root: Path, names: Any = TRIALS) -> dict[str, dict[str, SourceDig
 def digests_below(root: Path) -> Digests:
     """Of a copy of the tree; files that did not change are parsed once in a process."""
     roots = {top: root / top for top in ("harness", "methods")}
-    tree = Tree(roots, cut=source_parts.TABLES, by_name=source_parts.BY_NAME, cache=_CACHE)
+    tree = Tree(roots, cut=ours.TABLES, by_name=ours.BY_NAME, cache=_CACHE)
     return Digests(tree)
 
 
@@ -49,7 +51,8 @@ def of_trial(known: Digests, name: str) -> dict[str, SourceDigest]:
     """Digests of the parts of the trial called ``name``."""
     method, material, measure, scene = TRIALS[name]
     part = scene_part(scene) if scene else None
-    return source_parts.of_trial(known, method, material, measures.load(measure), part)
+    parts = source_parts.parts_of(known, method, material, measures.load(measure), part)
+    return source_parts.of_trial(known, parts, measure == FIT)
 
 
 @lru_cache

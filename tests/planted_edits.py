@@ -129,7 +129,8 @@ def unit_range(x: Field) -> Field:
 """
 _OLD_COSINE = """
 def _cosine(w: Columns) -> Float:
-    \"\"\"Of a direction on the disk. Off it there is none; what is made of it there is masked.\"\"\"
+    \"\"\"Of a direction on the disk. Off it there is none; \
+what is made of it there is masked.\"\"\"
     return dr.sqrt(dr.maximum(1 - w[0] * w[0] - w[1] * w[1], 0))
 """
 
