@@ -7,26 +7,110 @@ are; nothing is fitted here.
 
 from __future__ import annotations
 
+import json
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from harness.identity.coverage import covered
+from harness.identity.tree import Tree, Unit
+from harness.identity.tried import tried
+from harness.identity.work import recorded
+
 if TYPE_CHECKING:
     from torch import Tensor
 
 Arrays = dict[str, NDArray[Any]]
+_NOTES = "notes"
 
 TOLERANCE = 1e-4
 """Largest relative difference of numbers that count as the same."""
 SEED = 20_260_301
-ROWS = 192
+ROWS = 152
 """Random rows of a probe; those at edges come on top."""
 _EDGE_OF_ONE = 1 - 2**-24
 _RADII = (0.0, 0.5, 0.98, 0.999, 1 - 1e-6)
 """Of incident directions on the disk, from normal to grazing."""
+
+
+@dataclass(frozen=True)
+class Probe:
+    """What a probe gave: numbers, a digest of the ``work`` of it, and the units that it ``tried``.
+
+    ``tried`` are units as in :class:`~harness.identity.digests.SourceDigest`, for which the
+    numbers speak: those that ran in every statement and branch, and the values and classes that
+    nothing else uses.
+    """
+
+    arrays: Mapping[str, NDArray[Any]]
+    work: str
+    tried: frozenset[str]
+
+    def packed(self) -> Arrays:
+        """All of it as arrays, to be stored."""
+        notes = json.dumps({"work": self.work, "tried": sorted(self.tried)})
+        return {**self.arrays, _NOTES: np.frombuffer(notes.encode(), np.uint8)}
+
+    @classmethod
+    def unpacked(cls, arrays: Mapping[str, NDArray[Any]]) -> Probe:
+        """Inverse of :meth:`packed`."""
+        notes = json.loads(bytes(arrays[_NOTES]))
+        rest = {name: value for name, value in arrays.items() if name != _NOTES}
+        return cls(rest, notes["work"], frozenset(notes["tried"]))
+
+
+def probed(
+    tree: Tree, units: Mapping[tuple[str, str], Unit], compute: Callable[[], Arrays]
+) -> Probe:
+    """The probe ``compute`` of code that reaches ``units`` of ``tree``.
+
+    It is run three times: first to compile and load whatever that takes, then for its numbers and
+    its work, and once more, slowly, to see which code runs.
+    """
+    compute()
+    with recorded() as work:
+        arrays = compute()
+    with covered(tree) as coverage:
+        compute()
+    return Probe(arrays, work.digest, tried(units, coverage.whole))
+
+
+def difference(
+    old: Probe,
+    new: Probe,
+    old_units: Mapping[str, str],
+    new_units: Mapping[str, str],
+    timed: bool = False,
+) -> str:
+    """Why the numbers of a trial may have changed with its code; "" if they have not.
+
+    ``old_units`` and ``new_units`` are the units of the part with their hashes. A unit that is only
+    in one of the two has to be among those that the probe of that side tried. A ``timed`` trial
+    needs the same work too.
+    """
+    for probe, here, there in ((new, new_units, old_units), (old, old_units, new_units)):
+        known = {(_name(unit), value) for unit, value in there.items()}
+        untried = [
+            unit
+            for unit, value in here.items()
+            if (_name(unit), value) not in known and unit not in probe.tried
+        ]
+        if untried:
+            more = f" and {len(untried) - 1} more" if len(untried) > 1 else ""
+            return f"{untried[0]}{more} changed, which no probe runs in full"
+    if not agree(old.arrays, new.arrays):
+        return "the numbers of the probe changed"
+    if timed and old.work != new.work:
+        return "the work that is timed changed"
+    return ""
+
+
+def _name(unit: str) -> str:
+    return unit.rpartition(":")[2]
 
 
 def agree(first: Mapping[str, NDArray[Any]], second: Mapping[str, NDArray[Any]]) -> bool:
@@ -92,16 +176,15 @@ def of_method(method: Any, material: Any, device: str = "cpu") -> Arrays:
     with torch.inference_mode():
         u = _uniforms(len(condition), device)
         sampled = method.sample(condition, u)
-        weighted = method.sample_weighted(condition, u)
         found = {
             "wo": sampled.wo,
             "pdf": sampled.pdf,
-            "weighted wo": weighted.wo,
-            "weighted pdf": weighted.pdf,
-            "weight": weighted.weight,
             "pdf elsewhere": method.pdf(condition, wo),
-            "pdf of samples": method.pdf(condition, sampled.wo),
+            "size": torch.tensor(method.size_bytes()),
         }
+        weighted = method.sample_weighted(condition, u)
+        if not method.exact_pdf:  # elsewhere the weight is f/p, which is the material's part
+            found |= {"weighted wo": weighted.wo, "weight": weighted.weight}
     return {name: _numbers(value) for name, value in found.items()}
 
 
