@@ -1,44 +1,42 @@
-"""For which units the result of a computation speaks, given those that ran as a whole."""
+"""Of which changed units the result of a computation tells something, given what of them ran."""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 
+from harness.identity.coverage import Coverage
 from harness.identity.tree import Unit
 from harness.identity.units import CLASS, FUNCTION, VALUE
 
 Key = tuple[str, str]
 
 
-def tried(units: Mapping[Key, Unit], whole: Collection[str]) -> frozenset[str]:
-    """Units (``module:name``) among the reached ``units`` that the computation has tried.
+def tried(units: Mapping[Key, Unit], coverage: Coverage) -> frozenset[str]:
+    """Values and classes (``module:name``) among the reached ``units`` that were put to the test.
 
-    Functions and methods if they are ``whole``. A module-level value if all that read it are; a
-    class, for what its body says, if all that mention one of its attributes, and its own methods,
-    are. Statements that run at import are never: what they do may show anywhere.
+    A module-level value if all regions that read it ran; a class, for what its body says, if all
+    that name it or one of its attributes did. Statements that run at import are never: what they do
+    may show anywhere. Functions are judged by their own regions.
     """
-    users: dict[Key, set[Key]] = {key: set() for key in units}
-    for key, unit in units.items():
+    found = {key for key, unit in units.items() if unit.kind in (VALUE, CLASS)}
+
+    def ran(user: Key, names: set[str]) -> bool:
+        if units[user].kind != FUNCTION:
+            return user in found
+        covered = coverage.get(str(units[user]))
+        return covered is not None and covered.missed_names.isdisjoint(names)
+
+    users = {key: set[Key]() for key in found}
+    names = {key: {key[1].rpartition(".")[2], *units[key].attributes} for key in found}
+    for user, unit in units.items():
         for target in unit.strong:
-            if target in users and units[target].kind == VALUE:
-                users[target].add(key)
-    for key, unit in units.items():
-        if unit.kind == CLASS:
-            own = {(key[0], f"{key[1]}.{method}") for method in unit.methods}
-            users[key] |= own & units.keys()
-            users[key] |= {
-                other
-                for other, found in units.items()
-                if other != key and not unit.attributes.isdisjoint(found.mentions)
-            }
-    found = {
-        key
-        for key, unit in units.items()
-        if (str(unit) in whole if unit.kind == FUNCTION else unit.kind in (VALUE, CLASS))
-    }
+            if target in users and target != user:
+                users[target].add(user)
+        for key in found:
+            if key != user and not unit.mentions.isdisjoint(units[key].attributes):
+                users[key].add(user)
     while True:
-        # A circle of values and classes is as tried as what uses it.
-        lost = {key for key in found if units[key].kind != FUNCTION and not users[key] <= found}
+        lost = {key for key in found if not all(ran(user, names[key]) for user in users[key])}
         if not lost:
             return frozenset(str(units[key]) for key in found)
         found -= lost

@@ -8,6 +8,7 @@ done and not the timing, whose own code no probe speaks for.
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterable
 from dataclasses import replace
 from typing import Any
@@ -16,16 +17,20 @@ import torch
 from pydantic import ValidationError
 
 from harness.core import registry
-from harness.core.protocol.method import Method
-from harness.identity import probe
+from harness.core.protocol.method import Budget, Method
+from harness.effects.registry import is_auto
+from harness.identity import small
 from harness.identity.digests import Digests, Part
-from harness.identity.probe import Arrays, Probe
+from harness.identity.probe import Probe, probed
+from harness.identity.small import Arrays
 from harness.identity.tree import Unit
 from harness.identity.verdict import ADAPTER, BASELINE, MATERIAL, MEASURE, SCENE, TRAINING
+from harness.materials import registry as materials
 from harness.measures import registry as measures
 from harness.measures.base import Job
 from harness.measures.fit import restore
 from harness.runner.jobs import Jobs
+from harness.scenes import registry as scenes
 from harness.suite.trials import FIT, Trial, stream_seed
 
 TINY = {
@@ -52,21 +57,24 @@ class Prober:
         Raises:
             Exception: whatever the code raises. Without a probe nothing is known.
         """
-        return probe.probed(
-            self.known.tree, self._units(part, parts), lambda: self.arrays(trial, part)
-        )
+        return probed(self.known.tree, self._units(part, parts), lambda: self.arrays(trial, part))
 
     def arrays(self, trial: Trial, part: str) -> Arrays:
         """The numbers of a probe."""
-        material = self.jobs.resolved.material(trial)
         device = trial.budget.device
         torch.manual_seed(_SEED)
         if part == MATERIAL:
-            return probe.of_material(material, device)
+            # Made anew, for how it is made is part of it.
+            return small.of_material(materials.make(trial.material_spec), device)
+        material = self.jobs.resolved.material(trial)
         if part in (ADAPTER, TRAINING, BASELINE) and trial.measure == FIT:
             return self._trained(trial, material, device)
         if part in (ADAPTER, BASELINE):
-            return probe.of_method(self.jobs.make(trial).method, material, device)
+            method = registry.make(trial.method_name, **trial.params)
+            state = self.jobs.make(trial).method.state_dict()
+            return small.of_method(restore(method, material, state), material, device)
+        if part == MEASURE and trial.measure == FIT:
+            return self._fitted(trial, material)
         if part in (MEASURE, SCENE):
             return self._measured(trial, material)
         raise ValueError(f"{part} has no probe")
@@ -77,50 +85,74 @@ class Prober:
         wanted = {MEASURE: (MEASURE, SCENE), SCENE: (MEASURE, SCENE)}.get(part, (part,))
         wanted = tuple({TRAINING: ADAPTER, BASELINE: ADAPTER}.get(name, name) for name in wanted)
         return {
-            key: unit for name in wanted if name in found for key, unit in found[name][1].units.items()
+            key: unit
+            for name in wanted
+            if name in found
+            for key, unit in found[name][1].units.items()
         }
 
     def _trained(self, trial: Trial, material: Any, device: str) -> Arrays:
         """State and samples of a method after two steps on a tiny budget."""
         method = registry.make(trial.method_name, **trial.params)
-        budget = replace(
-            trial.budget, steps=STEPS, conditions=8, directions=8, resolution=8, pool=16
-        )
-        report = method.fit(material, budget, torch.Generator().manual_seed(_SEED))
-        found = probe.of_method(method, material, device)
+        report = method.fit(material, self._budget(trial), torch.Generator().manual_seed(_SEED))
+        found = small.of_method(method, material, device)
         found |= {f"state {k}": v.detach().cpu().numpy() for k, v in method.state_dict().items()}
         return found | {"loss": torch.tensor(report.loss).numpy()}
+
+    @staticmethod
+    def _budget(trial: Trial) -> Budget:
+        return replace(trial.budget, steps=STEPS, conditions=8, directions=8, resolution=8, pool=16)
+
+    def _fitted(self, trial: Trial, material: Any) -> Arrays:
+        """What the measure ``fit`` stores of a method that is trained for two steps."""
+        method = registry.make(trial.method_name, **trial.params)
+        job = self._job(
+            trial, material, method, {"name": trial.method_name, "params": trial.params}
+        )
+        job.budget = self._budget(trial)
+        (outcome,) = measures.make(FIT).run([job], _quiet)
+        found = small.of_outcome(outcome)
+        return {name: value for name, value in found.items() if "seconds" not in name}
 
     def _measured(self, trial: Trial, material: Any) -> Arrays:
         """Raw outputs of the measure for both fixed methods, or what a timed one times."""
         kind = measures.load(trial.measure)
+        scene = self._scene(trial)
         found = {}
         for spec in FIXED:
-            method = _bound(registry.make(spec), material)
+            method = restore(registry.make(spec), material, {})
             if kind.timed:
-                one = self._timed(trial, material, method)
+                one = self._timed(trial, material, method, scene)
             else:
-                (outcome,) = kind().run([self._job(trial, material, method, spec)], _quiet)
-                one = probe.of_outcome(outcome)
+                (outcome,) = kind().run([self._job(trial, material, method, spec, scene)], _quiet)
+                one = small.of_outcome(outcome)
             found |= {f"{method.name} {name}": value for name, value in one.items()}
         return found
 
-    def _timed(self, trial: Trial, material: Any, method: Method) -> Arrays:
+    def _scene(self, trial: Trial) -> Any:
+        """Made anew, unless what ``auto`` stands for has to be found first."""
         if not trial.scene:
-            return probe.of_method(method, material, trial.budget.device)
+            return None
+        made = scenes.make(trial.scene_spec)
+        return self.jobs.scene(trial) if is_auto(made.effects) else made
+
+    def _timed(self, trial: Trial, material: Any, method: Method, scene: Any) -> Arrays:
+        if scene is None:
+            return small.of_method(method, material, trial.budget.device)
         from harness.rendering.prepared import prepare
 
-        done = prepare(self._scene(trial), material, method, TINY["resolution"])
+        done = prepare(scene, material, method, TINY["resolution"])
         image = done.render(TINY["spp"], _SEED)
         return {"rgb": image.rgb, "variance": image.variance, "mask": done.mask}
 
-    def _job(self, trial: Trial, material: Any, method: Method, spec: Any) -> Job:
+    @staticmethod
+    def _job(trial: Trial, material: Any, method: Method, spec: Any, scene: Any = None) -> Job:
         seed = stream_seed(trial.measure, trial.seed)
         return Job(
             trial=trial,
             material=material,
             method=method,
-            scene=self._scene(trial),
+            scene=scene,
             seed=trial.seed,
             generator=torch.Generator().manual_seed(seed),
             settings=tiny(trial.measure, trial.settings),
@@ -128,9 +160,6 @@ class Prober:
             make=lambda: registry.make(spec),
             fit_records={},
         )
-
-    def _scene(self, trial: Trial) -> Any:
-        return self.jobs.scene(trial)
 
 
 def tiny(measure: str, settings: dict[str, Any]) -> dict[str, Any]:
@@ -141,7 +170,7 @@ def tiny(measure: str, settings: dict[str, Any]) -> dict[str, Any]:
         if name in found and found[name] is not None:
             smaller = value if isinstance(value, list) else min(value, found[name])
             try:
-                model.model_validate_json(_json(found | {name: smaller}))
+                model.model_validate_json(json.dumps(found | {name: smaller}))
             except ValidationError:
                 continue
             found[name] = smaller
@@ -162,16 +191,6 @@ def context(trial: Trial, part: str, digests: dict[str, str], state: str) -> tup
         return part, trial.measure, settings, trial.seed, *material, *placed
     method = (trial.method_name, repr(sorted(trial.params.items())), digests.get(part, ""))
     return part, *method, state, *material
-
-
-def _bound(method: Method, material: Any) -> Method:
-    return restore(method, material, {}) if not method.state_dict() else method
-
-
-def _json(settings: dict[str, Any]) -> str:
-    import json
-
-    return json.dumps(settings)
 
 
 def _quiet(text: str) -> None:
