@@ -15,11 +15,14 @@ from harness.measures.base import FAILED
 from harness.runner import executor as executors
 from harness.runner import only as only_option
 from harness.runner import preflight
+from harness.runner.jobs import Jobs
 from harness.runner.only import Only
+from harness.runner.probes import Probes
 from harness.runner.progress import Pace, Progress
 from harness.runner.todo import Todo, make_todo
 from harness.runner.validity import Validity
 from harness.runner.worker import Worker
+from harness.store import code
 from harness.store.database import is_ours
 from harness.store.folder import ResultsFolder
 from harness.store.lock import locked
@@ -92,7 +95,10 @@ def _todo(plan: Plan, store: ResultsFolder, only: Only, options: Options) -> Tod
     """The plan, less what is stored whole and still holds."""
     found = store.trials({trial.hash for trial in plan.trials})
     stored = {key: trial for key, trial in found.items() if trial.status != DAMAGED}
-    validity = Validity(plan, stored, store.units)
+    validity = Validity(plan, stored, lambda digest: code.units(store, digest))
+    if store.write:
+        jobs = Jobs(plan.baseline, stored, lambda text: None, plan.resolved)
+        validity.probed = Probes(plan, store, validity, jobs).same
     return make_todo(plan, stored, validity, only, options.retry_failed, options.refit)
 
 

@@ -41,6 +41,7 @@ class Validity:
     ):
         self.plan, self.stored, self.units = plan, stored, units
         self.known = digests()
+        self.probed: Callable[[Trial], Callable[[str, str, str], bool]] | None = None
         self._parts: dict[tuple, dict[str, Part]] = {}
         self._analyses: dict[str, str] = {}
         self._sources: dict[tuple, dict[str, SourceDigest]] = {}
@@ -54,6 +55,10 @@ class Validity:
         if self._compared(trial):
             found[BASELINE] = self.sources(self.plan.baseline_of(trial))[ADAPTER].digest
         return found
+
+    def begins(self, trial: Trial) -> dict[str, Part]:
+        """Where the code of each part begins."""
+        return self._of(trial)
 
     def entries(self, trial: Trial) -> dict[str, Any]:
         """Where the code of each part begins, as plain data."""
@@ -76,6 +81,8 @@ class Validity:
     def verdict(self, trial: Trial) -> Verdict:
         """Of the stored trial, which is there.
 
+        Where only code changed, ``probed(trial)`` gives who is asked whether the numbers did.
+
         A fit that is not stored says nothing yet: made again it may give the same state.
         """
         sources = {s.digest: s.units for s in self.sources(trial).values()}
@@ -89,7 +96,7 @@ class Validity:
             if fit not in self.stored:
                 before.pop(part, None)
                 now.pop(part, None)
-        return judge(before, now, details=details)
+        return judge(before, now, self.probed(trial) if self.probed else None, details)
 
     def stands(self, trial: Trial) -> bool:
         """Whether a trial is stored and its numbers are current."""

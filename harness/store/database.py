@@ -42,9 +42,12 @@ CREATE TABLE blob (digest TEXT PRIMARY KEY, body BLOB NOT NULL);
 CREATE TABLE damaged (
     trial TEXT NOT NULL, noticed TEXT NOT NULL, reason TEXT NOT NULL, body BLOB);
 CREATE TABLE units (digest TEXT PRIMARY KEY, body BLOB NOT NULL);
+CREATE TABLE probe (
+    part TEXT NOT NULL, digest TEXT NOT NULL, trial TEXT NOT NULL, state TEXT NOT NULL,
+    PRIMARY KEY (part, digest)) WITHOUT ROWID;
 CREATE TABLE equivalent (
-    part TEXT NOT NULL, old TEXT NOT NULL, new TEXT NOT NULL, context TEXT NOT NULL,
-    PRIMARY KEY (part, old, new, context)) WITHOUT ROWID;
+    part TEXT NOT NULL, old TEXT NOT NULL, new TEXT NOT NULL, shared TEXT NOT NULL,
+    PRIMARY KEY (part, old, new, shared)) WITHOUT ROWID;
 """
 
 

@@ -12,7 +12,8 @@ from __future__ import annotations
 
 import json
 import sqlite3
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from datetime import UTC, datetime
 from functools import cached_property, partial
 from pathlib import Path
@@ -59,6 +60,16 @@ class ResultsFolder:
         """Release the file."""
         self._connection.close()
 
+    def run(self, statement: str, *values: Any) -> sqlite3.Cursor:
+        """One statement; SQLite's errors are those of the caller's :func:`explained`."""
+        return self._connection.execute(statement, values)
+
+    @contextmanager
+    def writing(self) -> Iterator[None]:
+        """A transaction: all of what is inside, or nothing of it."""
+        with explained(self.folder), transaction(self._connection):
+            yield
+
     # --- writing -------------------------------------------------------------------------------
 
     def save(
@@ -71,15 +82,10 @@ class ResultsFolder:
         Raises:
             ValueError, TypeError: something in it cannot be stored.
         """
-        packed = {name: array_bytes(array) for name, array in arrays.items()}
-        digests = {name: digest(data) for name, data in packed.items()}
-        with explained(self.folder), transaction(self._connection):
+        with self.writing():
+            digests = self.keep_arrays(trial.hash, arrays)
             body = json_bytes(self._body(trial, digests, kept))
-            self._run("DELETE FROM array WHERE trial = ?", trial.hash)
-            for name, data in packed.items():
-                self._run("INSERT OR IGNORE INTO blob VALUES (?, ?)", digests[name], pack(data))
-                self._run("INSERT INTO array VALUES (?, ?, ?)", trial.hash, name, digests[name])
-            self._run(
+            self.run(
                 "INSERT OR REPLACE INTO trial VALUES (?, ?, ?)",
                 *(trial.hash, digest(body), pack(body)),
             )
@@ -91,35 +97,49 @@ class ResultsFolder:
         A row holds the key under ``trial``, its labels, its ``identity`` and the key of the
         ``fit`` that it needs.
         """
-        with explained(self.folder), transaction(self._connection):
-            self._run("DELETE FROM plan")
-            self._run("INSERT OR REPLACE INTO meta VALUES ('plan', ?)", json_bytes(head).decode())
+        with self.writing():
+            self.run("DELETE FROM plan")
+            self.run("INSERT OR REPLACE INTO meta VALUES ('plan', ?)", json_bytes(head).decode())
             for position, row in enumerate(rows):
                 labels = [row[key] for key in LABELS]
                 identity = json_bytes(self._shared(row["identity"])).decode()
-                self._run(
+                self.run(
                     "INSERT INTO plan VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
                     *(position, row["trial"], *labels, row["fit"], identity),
                 )
 
+    def keep_arrays(self, key: str, arrays: Mapping[str, np.ndarray]) -> dict[str, str]:
+        """Inside of :meth:`writing`: replace the arrays under ``key``; their digests.
+
+        The same content is kept once.
+        """
+        self.run("DELETE FROM array WHERE trial = ?", key)
+        digests = {}
+        for name, array in arrays.items():
+            data = array_bytes(array)
+            digests[name] = digest(data)
+            self.run("INSERT OR IGNORE INTO blob VALUES (?, ?)", digests[name], pack(data))
+            self.run("INSERT INTO array VALUES (?, ?, ?)", key, name, digests[name])
+        return digests
+
     def set_aside(self, trial: str, reason: str) -> None:
         """Take a damaged trial out of the results; what is left of it is kept apart."""
         noticed = datetime.now(UTC).isoformat(timespec="seconds")
-        with explained(self.folder), transaction(self._connection):
-            self._run(
+        with self.writing():
+            self.run(
                 "INSERT INTO damaged SELECT trial, ?, ?, body FROM trial WHERE trial = ?",
                 *(noticed, reason, trial),
             )
-            self._run("DELETE FROM trial WHERE trial = ?", trial)
-            self._run("DELETE FROM array WHERE trial = ?", trial)
+            self.run("DELETE FROM trial WHERE trial = ?", trial)
+            self.run("DELETE FROM array WHERE trial = ?", trial)
 
     def save_records(self, key: str, trial: Stored) -> None:
         """Replace records, status and reason of a stored trial; its raw data stay as they are."""
         with explained(self.folder):
-            rows = self._run("SELECT name, digest FROM array WHERE trial = ?", key).fetchall()
-        with explained(self.folder), transaction(self._connection):
+            rows = self.run("SELECT name, digest FROM array WHERE trial = ?", key).fetchall()
+        with self.writing():
             body = json_bytes(self._body(trial, dict(rows), trial.files))
-            self._run(
+            self.run(
                 "UPDATE trial SET checksum = ?, body = ? WHERE trial = ?",
                 digest(body),
                 pack(body),
@@ -135,8 +155,8 @@ class ResultsFolder:
 
     def tidy(self) -> None:
         """Remove arrays and files that no trial names any more."""
-        with explained(self.folder), transaction(self._connection):
-            self._run("DELETE FROM blob WHERE digest NOT IN (SELECT digest FROM array)")
+        with self.writing():
+            self.run("DELETE FROM blob WHERE digest NOT IN (SELECT digest FROM array)")
         named = [d for t in self.trials().values() for d in t.files.values()]
         files.sweep(self.folder, named)
 
@@ -145,30 +165,15 @@ class ResultsFolder:
         with explained(self.folder):
             self._connection.execute("VACUUM")
 
-    def note_equivalent(self, part: str, old: str, new: str, context: str = "") -> None:
-        """Remember that a probe found the numbers of two digests of a part to be the same."""
-        with explained(self.folder), transaction(self._connection):
-            self._run(
-                "INSERT OR REPLACE INTO equivalent VALUES (?, ?, ?, ?)", part, old, new, context
-            )
-
-    def note_units(self, sources: Mapping[str, Mapping[str, str]]) -> None:
-        """Remember what the digests of source code are made of: hashes by unit, by digest."""
-        with explained(self.folder):
-            known = {key for (key,) in self._run("SELECT digest FROM units")}
-            for key in sources.keys() - known:
-                body = pack(json_bytes(sources[key]))
-                self._run("INSERT OR IGNORE INTO units VALUES (?, ?)", key, body)
-
     # --- reading -------------------------------------------------------------------------------
 
     def plan(self) -> dict[str, Any]:
         """The plan of the last run: suite, title, profile, baseline, report, labels and trials."""
         with explained(self.folder):
-            found = self._run("SELECT value FROM meta WHERE name = 'plan'").fetchone()
+            found = self.run("SELECT value FROM meta WHERE name = 'plan'").fetchone()
             if found is None:
                 raise InputError(f"{self.folder}: holds no plan yet; run the suite first")
-            rows = self._run("SELECT * FROM plan ORDER BY position").fetchall()
+            rows = self.run("SELECT * FROM plan ORDER BY position").fetchall()
         keys = ("trial", *LABELS, "fit")
         trials = [
             {**dict(zip(keys, row[1:-1], strict=True)), "identity": self._opened(_json(row[-1]))}
@@ -179,7 +184,7 @@ class ResultsFolder:
     def keys(self) -> set[str]:
         """Keys of all stored trials, planned or not."""
         with explained(self.folder):
-            return {key for (key,) in self._run("SELECT trial FROM trial")}
+            return {key for (key,) in self.run("SELECT trial FROM trial")}
 
     def trial(self, key: str) -> Stored:
         """One trial; a planned one that was not run is ``skipped``."""
@@ -187,7 +192,7 @@ class ResultsFolder:
         if key in found:
             return found[key]
         with explained(self.folder):
-            row = self._run("SELECT * FROM plan WHERE trial = ?", key).fetchone()
+            row = self.run("SELECT * FROM plan WHERE trial = ?", key).fetchone()
         if row is None:
             raise InputError(f"{self.folder}: no trial '{key}'")
         labels = dict(zip(LABELS, row[2:8], strict=True))
@@ -196,20 +201,9 @@ class ResultsFolder:
     def trials(self, keys: Iterable[str] | None = None) -> dict[str, Stored]:
         """Stored trials by key, those of ``keys`` or all; a damaged one is an ``error``."""
         with explained(self.folder):
-            rows = self._run("SELECT trial, checksum, body FROM trial").fetchall()
+            rows = self.run("SELECT trial, checksum, body FROM trial").fetchall()
         wanted = None if keys is None else set(keys)
         return {r[0]: self._stored(*r) for r in rows if wanted is None or r[0] in wanted}
-
-    def equivalents(self) -> set[tuple[str, str, str]]:
-        """``(part, old digest, new digest)`` between which no number changed."""
-        with explained(self.folder):
-            return set(self._run("SELECT part, old, new FROM equivalent"))
-
-    def units(self, key: str) -> dict[str, str]:
-        """Hashes by unit of a digest of source code; empty if it is not known."""
-        with explained(self.folder):
-            row = self._run("SELECT body FROM units WHERE digest = ?", key).fetchone()
-        return _json(unpack(row[0])) if row else {}
 
     def arrays(self, key: str) -> dict[str, np.ndarray]:
         """The raw arrays of a trial.
@@ -218,7 +212,7 @@ class ResultsFolder:
             InputError: one does not match its checksum.
         """
         with explained(self.folder):
-            rows = self._run(
+            rows = self.run(
                 "SELECT name, array.digest, body FROM array LEFT JOIN blob USING (digest)"
                 " WHERE trial = ?",
                 key,
@@ -229,7 +223,7 @@ class ResultsFolder:
         """What is wrong with stored trials, by key: bodies, arrays and files are all read."""
         found = {k: t.reason for k, t in self.trials().items() if t.status == DAMAGED}
         with explained(self.folder):
-            rows = self._run(
+            rows = self.run(
                 "SELECT array.digest, body, group_concat(trial), min(name) FROM array"
                 " LEFT JOIN blob USING (digest) GROUP BY array.digest"
             )
@@ -248,9 +242,6 @@ class ResultsFolder:
         return found
 
     # --- inside --------------------------------------------------------------------------------
-
-    def _run(self, statement: str, *values: Any) -> sqlite3.Cursor:
-        return self._connection.execute(statement, values)
 
     def _body(
         self, trial: Stored, arrays: Mapping[str, str], kept: Mapping[str, str]
@@ -272,7 +263,7 @@ class ResultsFolder:
             text = json_bytes(value)
             found[key] = digest(text)
             if found[key] not in self._texts:
-                self._run("INSERT OR IGNORE INTO text VALUES (?, ?)", found[key], pack(text))
+                self.run("INSERT OR IGNORE INTO text VALUES (?, ?)", found[key], pack(text))
                 self._texts[found[key]] = value
         return found
 
@@ -281,7 +272,7 @@ class ResultsFolder:
         for kept in data.values():
             if kept not in self._texts:
                 with explained(self.folder):
-                    row = self._run("SELECT body FROM text WHERE digest = ?", kept).fetchone()
+                    row = self.run("SELECT body FROM text WHERE digest = ?", kept).fetchone()
                 text = unpack(row[0]) if row else b""
                 if digest(text) != kept:
                     raise ValueError(f"the text {kept} does not match its checksum")

@@ -11,7 +11,7 @@ import shutil
 from dataclasses import replace
 from pathlib import Path
 
-from harness.store import files
+from harness.store import code, files
 from harness.store.folder import ResultsFolder
 from harness.store.lock import locked
 from harness.store.stored import STATE
@@ -41,9 +41,12 @@ def publish(source: Path, target: Path) -> int:
                 shutil.copyfile(files.checked(source, name, digest), place)
             new.save(replace(trial, folder=fresh), old.arrays(trial.hash), kept)
         digests = {digest for trial in wanted for digest in trial.parts.values()}
-        new.note_units({d: units for d in digests if (units := old.units(d))})
-        for change in old.equivalents():
-            new.note_equivalent(*change)
+        code.note_units(new, {d: units for d in digests if (units := code.units(old, d))})
+        for change in code.equivalents(old):
+            code.note_equivalent(new, *change)
+        for (part, digest), about in code.probes(old).items():
+            if digest in digests:
+                code.save_probe(new, part, digest, *about, code.probe(old, part, digest))
         new.compact()
     shutil.copyfile(source / "suite.yaml", fresh / "suite.yaml")
     (fresh / ".lock").unlink(missing_ok=True)
