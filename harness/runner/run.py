@@ -124,7 +124,11 @@ def _write_plan(plan: Plan, store: ResultsFolder) -> None:
 
 
 def _explain(todo: Todo, console: Console) -> None:
-    """Why stored numbers are measured again."""
+    """Why stored numbers are measured again, and which stand although their code changed."""
+    asked = {trial.hash for trial in todo.selected}
+    kept = Counter(v.sentence for h, v in todo.equivalent.items() if h in asked)
+    for sentence, count in kept.most_common():
+        _say(console, f"  {_trials(count)} {sentence}", "dim")
     wanted = {trial.hash for trial in todo.trials}
     counts = Counter(v.sentence for h, v in todo.stale.items() if h in wanted)
     for sentence, count in counts.most_common():

@@ -45,7 +45,7 @@ class Todo:
     """``units`` to carry out; ``selected`` trials the run is about, done or not.
 
     ``stored`` are the planned trials that are there, ``stale`` why some of them do not hold any
-    more. ``doubtful`` ones are to be measured only if their fit, which is made again, comes out
+    more, ``equivalent`` that their code changed and their numbers did not. ``doubtful`` ones are to be measured only if their fit, which is made again, comes out
     different.
     """
 
@@ -54,6 +54,7 @@ class Todo:
     stored: dict[str, Stored]
     stale: dict[str, Verdict] = field(default_factory=dict)
     doubtful: frozenset[str] = frozenset()
+    equivalent: dict[str, Verdict] = field(default_factory=dict)
 
     @property
     def trials(self) -> list[Trial]:
@@ -113,7 +114,8 @@ def make_todo(
         if unit.fits or unit.groups:
             units[material] = unit
     names = frozenset(trial.hash for trial in doubtful)
-    return Todo(list(units.values()), selected, present, stale, names)
+    equivalent = {h: v for h, v in verdicts.items() if v.state == "equivalent"}
+    return Todo(list(units.values()), selected, present, stale, names, equivalent)
 
 
 def needed_fits(plan: Plan, trial: Trial) -> list[str]:
