@@ -16,10 +16,13 @@ import yaml
 from harness import Material
 from harness.core.protocol.errors import InputError
 from harness.core.record import Record
+from harness.identity.digests import Part
+from harness.identity.ours import digests
 from harness.materials import registry as materials
 from harness.measures import registry as measures
 from harness.measures.base import Job, Measure, Outcome, Settings
 from harness.scenes import registry as scenes
+from harness.suite import source_parts
 
 ADAPTERS = '''
 """Adapters for tests."""
@@ -184,12 +187,21 @@ def _identity(spec: Any) -> dict[str, Any]:
     return {"fake": name} | ({} if isinstance(spec, str) else {"rest": sorted(spec)})
 
 
+def _scene(spec: Any) -> SimpleNamespace:
+    _identity(spec)
+    return SimpleNamespace(name=_name(spec), effects=("environment",))
+
+
 def install(setattr_: Any = setattr) -> None:
     """Replace the registries of materials and scenes, and add two measures."""
     for registry in (materials, scenes):
         setattr_(registry, "identity", _identity)
     setattr_(materials, "make", lambda spec: FakeMaterial(_name(spec)))
-    setattr_(scenes, "make", lambda spec: SimpleNamespace(name=spec, effects=("environment",)))
+    setattr_(scenes, "identity_of", lambda spec, scene, base=None: _identity(spec))
+    setattr_(scenes, "make", _scene)
+    digests().tree.roots["tests"] = Path(__file__).parent
+    setattr_(source_parts, "_material", lambda spec: ["tests.fakes:FakeMaterial"])
+    setattr_(source_parts, "scene", lambda *about: Part(("tests.fakes:_scene",)))
     setattr_(measures, "_EXTRA", {measure.name: measure for measure in (Probe, Clock)})
     Probe.calls.clear()
     Clock.calls.clear()

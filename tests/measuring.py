@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import json
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -10,10 +9,10 @@ from typing import Any
 import numpy as np
 
 from harness.analysis.records import registry as records
-from harness.core.jsonfile import dumps
 from harness.core.record import Raw
 from harness.measures import registry as measures
 from harness.measures.base import Job, Outcome
+from harness.store.packing import array_bytes, array_of, json_bytes
 
 
 def run(
@@ -41,8 +40,7 @@ def _stored(
     arrays: dict[str, np.ndarray], documents: dict[str, Any]
 ) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
     """Both, written and read."""
-    file = io.BytesIO()
-    np.savez(file, **arrays)
-    file.seek(0)
-    with np.load(file, allow_pickle=False) as read:
-        return {key: read[key] for key in read.files}, json.loads(dumps(documents))
+    read = {name: array_of(array_bytes(array)) for name, array in arrays.items()}
+    for name, array in arrays.items():
+        assert (read[name].shape, read[name].dtype) == (np.shape(array), array.dtype)
+    return read, json.loads(json_bytes(documents))

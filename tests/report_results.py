@@ -12,7 +12,9 @@ import numpy as np
 from harness.analysis.process_pooling import together
 from harness.core.record import Record
 from harness.measures.base import Outcome
-from harness.store import trials as store
+from harness.store import write
+from harness.store.folder import ResultsFolder
+from harness.store.stored import Stored
 
 METHODS = {  # label: (registry name, variance over the ideal, nanoseconds per sample)
     "cosine": ("cosine", 30.0, 95.0),
@@ -61,27 +63,34 @@ class Made:
     def write(self, folder: Path) -> Path:
         """The whole folder."""
         folder.mkdir(parents=True, exist_ok=True)
-        rows = []
-        for material in self.materials:
-            for seed in self.seeds:
-                for method in self.methods:
-                    for measure in self.measures:
-                        for scene in ("",) if measure in SCENELESS else self.scenes:
-                            rows.append(self._trial(folder, measure, material, method, scene, seed))
-        plan = {
+        head = {
             "suite": "synthetic",
             "title": self.title,
             "profile": "quick",
             "baseline": "improved-baseline",
             "report": self.report or {"tables": None, "figures": None},
-            "trials": rows,
         }
-        store.write_json(folder / "plan.json", plan)
+        with ResultsFolder(folder, write=True) as store:
+            rows = [
+                self._trial(store, measure, material, method, scene, seed)
+                for material in self.materials
+                for seed in self.seeds
+                for method in self.methods
+                for measure in self.measures
+                for scene in (("",) if measure in SCENELESS else self.scenes)
+            ]
+            store.write_plan(head, rows)
         (folder / "suite.yaml").write_text("name: synthetic\n", encoding="utf-8")
         return folder
 
     def _trial(
-        self, folder: Path, measure: str, material: str, method: str, scene: str, seed: int
+        self,
+        store: ResultsFolder,
+        measure: str,
+        material: str,
+        method: str,
+        scene: str,
+        seed: int,
     ) -> dict:
         name = METHODS.get(method, (method, 4.0, 200.0))[0]
         identity = {
@@ -104,22 +113,24 @@ class Made:
             "seed": seed,
         }
         if measure not in self.not_run:
-            about = {
-                "trial": hashed,
-                "identity": identity,
-                "labels": labels,
-                "environment": {
+            outcome = self._outcome(measure, material, method, seed, hashed)
+            about = Stored(
+                hashed,
+                identity,
+                labels,
+                outcome.status,
+                outcome.reason,
+                environment={
                     "machine": self.machine,
                     "python": "3.11.2",
                     "versions": {"torch": "2.0", "mitsuba": "3.0"},
                     "device": "cpu",
                 },
-                "started": "2024-01-01T00:00:00+00:00",
-                "seconds": 1.0,
-            }
-            outcome = self._outcome(measure, material, method, seed, hashed)
-            store.save_trial(folder, about, outcome)
-        return {"trial": hashed, "identity": identity, **labels}
+                started="2024-01-01T00:00:00+00:00",
+                seconds=1.0,
+            )
+            write.save(store, about, outcome)
+        return {"trial": hashed, "identity": identity, "fit": "", **labels}
 
     def _outcome(self, measure: str, material: str, method: str, seed: int, hashed: str) -> Outcome:
         for key, (status, reason) in self.fail.items():

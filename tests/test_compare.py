@@ -11,7 +11,9 @@ from harness.cli.main import main
 from harness.core.protocol.errors import InputError
 from harness.core.record import Record
 from harness.measures.base import Outcome
-from harness.store import trials as store
+from harness.store import write as storing
+from harness.store.folder import ResultsFolder
+from harness.store.stored import Stored
 
 HERE = {"cpu": "Example CPU 3000", "cores": 2}
 
@@ -22,16 +24,16 @@ def write(
     """A run with one trial a method: its ``time-ratio``, timed if there is a ``machine``."""
     folder.mkdir()
     rows = []
-    for i, (method, interval) in enumerate(values.items()):
-        labels = {"suite": "made-up", "material": "suede", "method": method}
-        labels |= {"scene": "", "measure": "cost", "seed": 0}
-        identity = {"method": {"name": method}} | ({"machine": machine} if machine else {})
-        about = {"trial": f"{i:016x}", "identity": identity, "labels": labels}
-        told = {"environment": {}, "started": started, "seconds": 1.0}
-        records = [Record("time-ratio", *interval, "1"), Record("batch", 8.0, unit="1")]
-        store.save_trial(folder, about | told, Outcome(records=records))
-        rows.append({"trial": about["trial"], "identity": identity, **labels})
-    store.write_plan(folder, {"suite": "made-up"}, rows)
+    with ResultsFolder(folder, write=True) as store:
+        for i, (method, interval) in enumerate(values.items()):
+            labels = {"suite": "made-up", "material": "suede", "method": method}
+            labels |= {"scene": "", "measure": "cost", "seed": 0}
+            identity = {"method": {"name": method}} | ({"machine": machine} if machine else {})
+            about = Stored(f"{i:016x}", identity, labels, "ok", "", started=started, seconds=1.0)
+            records = [Record("time-ratio", *interval, "1"), Record("batch", 8.0, unit="1")]
+            storing.save(store, about, Outcome(records=records))
+            rows.append({"trial": about.hash, "fit": "", "identity": identity, **labels})
+        store.write_plan({"suite": "made-up"}, rows)
     return folder
 
 

@@ -15,6 +15,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from harness.analysis.records.effects import VERDICTS
+from harness.analysis.results import Results
 from harness.cli.main import main
 from harness.core import registry
 from harness.core.protocol.material import Material
@@ -280,10 +281,10 @@ def test_the_verb_measures_effects_alone_and_reports_them(tmp_path, capsys, monk
     assert main(["effects", str(path), "--out", str(tmp_path / "out"), "--method", "cosine"]) == 0
     said = " ".join(capsys.readouterr().out.split())
     assert "environment" in said and "needed" in said
-    trials = [json.loads(f.read_text()) for f in (tmp_path / "out").glob("*/trial.json")]
-    assert {t["labels"]["measure"] for t in trials} == {"fit", "effects"}
-    assert {t["labels"]["method"] for t in trials} == {"cosine"}
-    stored = next(t for t in trials if t["labels"]["measure"] == "effects")["effects"]
+    results = Results.load(tmp_path / "out")
+    assert set(results.frame["measure"]) == {"fit", "effects"}
+    assert set(results.frame["method"]) == {"cosine"}
+    stored = results.stored(results.trials("effects")[0]).effects
     assert stored["tolerance"] == 0.2 and "indirect" in stored["why"]
     written = (tmp_path / "out" / "report" / "effects.md").read_text()
     assert "| environment |" in written and "relMSE" in written
@@ -307,7 +308,7 @@ def test_what_cannot_be_had_is_refused_before_anything_runs(tmp_path, capsys, ve
     assert main([verb, str(path), *out]) == 2
     error = capsys.readouterr().err
     assert message in error and error.count("\n") == 1 and str(path) in error
-    assert not list((tmp_path / "out").glob("*/trial.json"))
+    assert not list((tmp_path / "out").glob("results.sqlite*"))
 
 
 def test_the_verb_refuses_a_method_that_is_not_there(tmp_path, capsys):

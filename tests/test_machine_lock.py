@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from harness.runner.machine_lock import turn
+from harness.runner.machine_lock import machine
 
 LONG = 20.0
 """Seconds to wait for what has to happen; a failure takes as long."""
@@ -21,7 +21,7 @@ def of_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 class Worker(threading.Thread):
-    """Takes a turn and stays in it until told to leave."""
+    """Holds the machine until told to leave."""
 
     def __init__(self, alone: bool):
         super().__init__(daemon=True)
@@ -30,7 +30,7 @@ class Worker(threading.Thread):
         self.start()
 
     def run(self) -> None:
-        with turn(lambda text: self.waiting.set(), self.alone):
+        with machine(lambda text: self.waiting.set(), self.alone):
             self.inside.set()
             self.leave.wait(LONG)
 

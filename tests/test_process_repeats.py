@@ -17,6 +17,7 @@ from scipy import stats
 from harness import load_results
 from harness.analysis.process_pooling import joined, pooled, split, together
 from harness.analysis.records import registry as records
+from harness.analysis.results import Results
 from harness.core.protocol.method import Budget
 from harness.core.record import Numbers, Raw, Record
 from harness.measures import registry as measures
@@ -26,7 +27,6 @@ from harness.runner import process_repeats
 from harness.runner.jobs import Jobs
 from harness.runner.run import Options, run
 from harness.stats.intervals import median_interval
-from harness.store import trials as store
 from harness.suite.load import load
 from harness.suite.plan import make_plan
 from harness.suite.trials import Trial
@@ -153,7 +153,7 @@ def played(monkeypatch, found: Iterator[Outcome], **settings) -> tuple[list[Outc
 
     monkeypatch.setattr(process_repeats, "_in_process", in_process)
     trial = Trial("h", {}, "s", "m", "a", "", "cost", 0, settings={"tolerance": 0.1, **settings})
-    jobs = Jobs("cosine", Path(), {"": None}, print)
+    jobs = Jobs("cosine", {"": None}, print)
     # With the settings of ``cost``, and records of its own.
     measure = type("Fake", (measures.load("cost"),), {"name": "fake-cost"})()
     return process_repeats.run(measure, [trial], jobs, lambda text: None), asked
@@ -284,7 +284,7 @@ def test_every_repeat_is_a_process(tmp_path: Path) -> None:
     good = rows[(rows["method"] == "Good") & (rows["metric"] == "sample-time-ratio")]
     assert good["status"].item() == "ok"
     assert good["ci_low"].item() < good["value"].item() < good["ci_high"].item()
-    stored = store.load_trial(out, good["trial"].item())
+    stored = Results.load(out).stored(good["trial"].item())
     arrays = joined(stored.arrays)
     assert len(arrays["processes"]) == 2 and len(arrays["sample_seconds"]) >= 12
     again = records.numbers("throughput", Raw(stored.arrays, stored.documents, settings))
@@ -298,6 +298,6 @@ def test_a_process_is_on_the_device_of_its_trial() -> None:
     """Made ready before anything else: a process of its own knows nothing of its parent's."""
     budget = Budget(device="cuda")
     trial = Trial("h", {}, "s", "m", "a", "", "cost", 0, settings={}, budget=budget)
-    jobs = Jobs("cosine", Path(), {"": None}, print)
+    jobs = Jobs("cosine", {"": None}, print)
     with pytest.raises(RuntimeError, match="in a fresh process: InputError: device 'cuda' needs"):
         process_repeats.run(measures.make("cost"), [trial], jobs, lambda text: None)

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import io
-import json
 import os
 import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +20,8 @@ from harness.core.protocol.errors import InputError
 from harness.runner import run as running
 from harness.runner.progress import Pace, duration
 from harness.runner.run import Options, run
-from harness.store import trials as store
+from harness.store.folder import ResultsFolder
+from harness.store.stored import STATE, Stored
 from harness.suite.load import load
 from harness.suite.plan import make_plan
 from tests import fakes
@@ -49,6 +50,24 @@ def rows(folder: Path, **labels: str) -> Any:
     return frame
 
 
+def trial_of(folder: Path, key: str) -> Stored:
+    with ResultsFolder(folder / "out") as store:
+        return store.trial(key)
+
+
+def whole(folder: Path) -> dict[str, Stored]:
+    """All stored trials; none of them is damaged."""
+    with ResultsFolder(folder / "out") as store:
+        assert store.damage() == {}
+        return store.trials()
+
+
+def forget(folder: Path, key: str) -> None:
+    """Take a trial out of the store."""
+    with ResultsFolder(folder / "out", write=True) as store:
+        store.set_aside(key, "for a test")
+
+
 def adapters(*names: str) -> list[str]:
     return ["adapters.py:Good", *(f"adapters.py:{name}" for name in names)]
 
@@ -60,44 +79,48 @@ def test_first_and_second_run(tmp_path: Path):
     frame = load_results(tmp_path / "out")
     assert set(frame["status"]) == {"ok"}
     assert len(frame["trial"].unique()) == 12
-    before = {p: p.stat().st_mtime_ns for p in (tmp_path / "out").glob("*/*")}
+    before = whole(tmp_path)
     calls = len(Probe.calls), len(Clock.calls)
     status, text = go(tmp_path)
     assert status == 0
     assert "12 trials, all stored" in text
     assert (len(Probe.calls), len(Clock.calls)) == calls
-    assert before == {p: p.stat().st_mtime_ns for p in (tmp_path / "out").glob("*/*")}
+    assert str(whole(tmp_path)) == str(before)
 
 
-def test_what_a_trial_folder_holds(tmp_path: Path):
+def test_what_is_stored_of_a_trial(tmp_path: Path):
     go(tmp_path)
-    trial = rows(tmp_path, measure="probe", method="with-state").iloc[0]["trial"]
-    folder = tmp_path / "out" / trial
-    names = {p.relative_to(folder).as_posix() for p in folder.rglob("*") if p.is_file()}
-    assert names == {"trial.json", "arrays.npz", "images/flat.exr", "documents.json"}
-    found = json.loads((folder / "trial.json").read_text())
-    assert found["environment"]["machine"]["cores"] >= 1
-    assert found["environment"]["versions"]["torch"]
-    assert found["started"] < "3000"
-    assert found["labels"]["material"] == "fake-a"
-    fit = tmp_path / "out" / found["fit"]
-    assert (fit / "state.safetensors").is_file()
+    found = trial_of(
+        tmp_path, rows(tmp_path, measure="probe", method="with-state").iloc[0]["trial"]
+    )
+    assert (set(found.arrays), set(found.images)) == ({"weights"}, {"flat"})
+    assert found.documents == {"note": "kept"}
+    assert found.environment["machine"]["cores"] >= 1
+    assert found.environment["versions"]["torch"]
+    assert found.started < "3000"
+    assert found.labels["material"] == "fake-a"
+    assert {"adapter", "material", "measure", "fit", "versions"} <= set(found.parts)
+    fit = trial_of(tmp_path, found.fit)
+    assert fit.has_state and "training" in fit.parts
+    assert found.parts["fit"] == fit.files[STATE]
     text = (tmp_path / "out" / "suite.yaml").read_text()
     assert load(tmp_path / "suite.yaml").text in text
-    assert str(tmp_path) not in (folder / "trial.json").read_text()
+    assert {p.name for p in (tmp_path / "out").iterdir()} == {
+        "results.sqlite", "files", "suite.yaml", ".lock"
+    }  # fmt: skip
+    assert str(tmp_path) not in str(vars(replace(found, folder=None)))
 
 
 def test_a_measure_gets_the_restored_state(tmp_path: Path):
     go(tmp_path)
     weight = rows(tmp_path, metric="weight", method="with-state", material="fake-a")["value"].item()
     fit = rows(tmp_path, measure="fit", method="with-state", material="fake-a")
-    state = store.load_trial(tmp_path / "out", fit["trial"].iloc[0]).tensors()
+    state = trial_of(tmp_path, fit["trial"].iloc[0]).tensors()
     assert weight == pytest.approx(float(state["weights"].sum()))
     assert fit.set_index("metric").loc["parameters", "value"] == 3
     assert fit.set_index("metric").loc["final-loss", "value"] == 1
     # In another process, from the store alone, it is the same.
-    (tmp_path / "out" / rows(tmp_path, metric="weight", method="with-state").iloc[0]["trial"]
-     / "trial.json").unlink()  # fmt: skip
+    forget(tmp_path, rows(tmp_path, metric="weight", method="with-state").iloc[0]["trial"])
     go(tmp_path)
     assert rows(tmp_path, metric="weight", method="with-state", material="fake-a")[
         "value"
@@ -126,7 +149,7 @@ def test_a_bad_adapter_fails_alone(tmp_path: Path, name: str, status: str, reaso
         assert row["status"].item() == "skipped"
         assert row["reason"].item().startswith(f"the fit of {name} ended as {status}: {reason}")
     assert set(rows(tmp_path, method="Good")["status"]) == {"ok"}
-    trial = store.load_trial(tmp_path / "out", fit["trial"].item())
+    trial = trial_of(tmp_path, fit["trial"].item())
     assert "Traceback" in trial.traceback
     # Nothing more to do, and still a failure.
     code, text = go(tmp_path, methods=adapters(name), materials=["fake-a"])
@@ -172,12 +195,11 @@ def test_timed_measures_run_together_with_the_baseline(tmp_path: Path):
     go(tmp_path, materials=["fake-a"])
     assert Clock.calls == [["Good", "with-state"]]
     stored = rows(tmp_path, method="Good", measure="clock")["trial"].item()
-    stamp = (tmp_path / "out" / stored / "trial.json").stat().st_mtime_ns
+    before = trial_of(tmp_path, stored)
     # A method that comes later: the baseline runs along, and its own result stays.
     go(tmp_path, materials=["fake-a"], methods=adapters("Named", "Choosy", "BadInRender"))
     assert Clock.calls[1][:2] == ["Good", "BadInRender"]
-    assert (tmp_path / "out" / stored / "trial.json").stat().st_mtime_ns == stamp
-    assert not list((tmp_path / "out").glob(".tmp-*"))
+    assert str(trial_of(tmp_path, stored)) == str(before)
 
 
 def test_one_bad_method_does_not_spoil_a_timed_group(tmp_path: Path):
@@ -275,8 +297,7 @@ def test_refused_before_anything_runs(tmp_path: Path):
         go(tmp_path, methods=["adapters.py:Good", bad])
     with pytest.raises(InputError, match="report.tables.0.: unknown table 'tabel2'; did you mean"):
         go(tmp_path, report={"tables": ["tabel2"]})
-    assert store.stored(tmp_path / "out") == []
-    (tmp_path / "out").rmdir() if not any((tmp_path / "out").iterdir()) else None
+    assert whole(tmp_path) == {}
 
 
 def test_output_must_be_a_folder(tmp_path: Path):
@@ -288,11 +309,15 @@ def test_output_must_be_a_folder(tmp_path: Path):
 def test_a_lost_state_is_fitted_again(tmp_path: Path):
     go(tmp_path, measures=["probe"], scenes=None)
     fit = rows(tmp_path, measure="fit", method="with-state", material="fake-a")["trial"].iloc[0]
-    (tmp_path / "out" / fit / "state.safetensors").unlink()
-    assert "all stored" in go(tmp_path, measures=["probe"], scenes=None)[1], "nobody needs it"
-    again = [{"name": "probe", "rows": 9}]
-    assert go(tmp_path, measures=again, scenes=None)[0] == 0
-    assert (tmp_path / "out" / fit / "state.safetensors").is_file()
+    before = trial_of(tmp_path, fit)
+    state, calls = before.tensors(), list(Probe.calls)
+    (tmp_path / "out" / "files" / f"{before.files[STATE]}.safetensors").unlink()
+    code, text = go(tmp_path, measures=["probe"], scenes=None)
+    assert code == 0 and "is missing" in text and "2 of them fits" in text, "both kept one file"
+    after = trial_of(tmp_path, fit)
+    assert after.files == before.files and after.started >= before.started
+    assert after.tensors()["weights"].equal(state["weights"])
+    assert Probe.calls == calls, "measured with the same state, which came back"
 
 
 def test_two_labels_share_a_trial(tmp_path: Path):
@@ -317,14 +342,13 @@ def test_interrupt_stores_and_resumes(tmp_path: Path, monkeypatch: pytest.Monkey
     assert code == running.INTERRUPTED
     assert "interrupted after 3 of 12 trials" in text
     assert "the same command goes on" in text
-    assert len(store.stored(tmp_path / "out")) == 3
-    assert not list((tmp_path / "out").glob(".tmp-*"))
+    assert len(whole(tmp_path)) == 3
     code, text = go(tmp_path)
     assert code == 0
     assert "9 to do" in text
 
 
-def test_kill_leaves_no_partial_folder(tmp_path: Path):
+def test_kill_leaves_no_partial_trial(tmp_path: Path):
     flag = tmp_path / "flag"
     changes = {"methods": adapters("Endless"), "materials": ["fake-a"]}
     path = fakes.suite(tmp_path, **changes)
@@ -339,12 +363,10 @@ def test_kill_leaves_no_partial_folder(tmp_path: Path):
         go(tmp_path, **changes)
     process.send_signal(signal.SIGKILL)
     process.wait()
-    assert len(store.stored(tmp_path / "out")) == 1, "what was finished is stored"
-    assert len(list((tmp_path / "out").glob(".tmp-*"))) == 1
+    assert len(whole(tmp_path)) == 1, "what was finished is stored"
     frame = load_results(tmp_path / "out")
     assert set(frame["status"]) == {"ok", "skipped"}
     go(tmp_path, Options(only="method=Good"), **changes)
-    assert not list((tmp_path / "out").glob(".tmp-*"))
     assert set(rows(tmp_path, method="Good")["status"]) == {"ok"}
 
 

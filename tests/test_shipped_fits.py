@@ -13,7 +13,8 @@ from harness import load_results
 from harness.core.protocol.errors import InputError
 from harness.runner import shipped
 from harness.runner.run import Options, run
-from harness.store import trials as store
+from harness.store.folder import ResultsFolder
+from harness.store.stored import Stored
 from harness.suite.load import load
 from harness.suite.plan import make_plan
 from harness.suite.trials import FIT
@@ -32,30 +33,35 @@ def plan_of(where: Path, **changes: Any):
     return make_plan(load(fakes.suite(where, **changes)))
 
 
+def trial_of(folder: Path, key: str) -> Stored:
+    with ResultsFolder(folder) as store:
+        return store.trial(key)
+
+
 def go(where: Path, out: str, options: Options = Options(), **changes: Any):  # noqa: B008
     """Results of a run by hash of the fit with a state, and the plan."""
     plan = plan_of(where, **changes)
     console = Console(file=io.StringIO(), width=200)
     assert run(plan, where / out, options, console) == 0
     fits = [t for t in plan.trials if t.measure == FIT and t.method == "with-state"]
-    return {t.material: store.load_trial(where / out, t.hash) for t in fits}, plan
+    return {t.material: trial_of(where / out, t.hash) for t in fits}, plan
 
 
 def keep(where: Path, out: str, plan: Any, folder: Path) -> list[Path]:
     """What ``harness fit`` does with the results of a run."""
     written = [
-        shipped.save(t, store.load_trial(where / out, t.hash), folder)
+        shipped.save(t, trial_of(where / out, t.hash), folder)
         for t in plan.trials
         if t.measure == FIT
     ]
     return [path for path in written if path]
 
 
-def same(a: store.Stored, b: store.Stored) -> bool:
+def same(a: Stored, b: Stored) -> bool:
     return all((a.tensors()[k] == v).all() for k, v in b.tensors().items())
 
 
-def numbers(fit: store.Stored) -> dict[str, float]:
+def numbers(fit: Stored) -> dict[str, float]:
     return {record["metric"]: record["value"] for record in fit.records}
 
 
@@ -94,7 +100,7 @@ def test_refit_fits_and_measures_anew(tmp_path: Path, folder: Path):
     assert not any(fit.shipped for fit in after.values())
     probes = [t for t in plan.trials if t.measure == "probe" and t.method == "with-state"]
     for trial in probes:
-        started = store.load_trial(tmp_path / "two", trial.hash).started
+        started = trial_of(tmp_path / "two", trial.hash).started
         assert started >= after[trial.material].started
     # Once more, there is nothing left to do anew.
     again, _ = go(tmp_path, "two", Options(refit=True))

@@ -47,7 +47,7 @@ class Raw:
 
     def value(self, name: str) -> float:
         """The array ``name``, which holds a single number."""
-        return float(self.arrays[name])
+        return float(np.asarray(self.arrays[name]).item())
 
     def floats(self, name: str) -> NDArray:
         """The array ``name`` in double precision."""

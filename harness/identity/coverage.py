@@ -1,36 +1,44 @@
-"""Which units run as a whole while something is computed: every statement and every branch.
+"""Which regions of which functions run while something is computed.
 
-Two results that agree tell nothing about code that did not run. What a probe says of a changed
-unit therefore counts only if the probe ran all of it.
+Two results that agree tell nothing about code that did not run. What a probe says of a change
+therefore counts only if the probe ran the places that are changed.
 """
 
 from __future__ import annotations
 
+import ast
 import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from inspect import CO_OPTIMIZED
 from types import CodeType, FrameType
 from typing import Any
 
 from harness.identity.executed import Places
-from harness.identity.regions import Span, Watched, regions, watched
-from harness.identity.tree import Tree
+from harness.identity.regions import SIGNATURE, Region, regions_of, watched
+from harness.identity.tree import Module, Tree
+
+Coverage = dict[str, "Ran"]
+"""By unit (``module:unit``): what ran of it. Functions that were never entered are not there."""
 
 
-@dataclass
-class Coverage:
-    """``whole`` units that ran in every statement and branch; ``partly`` those that ran in some."""
+@dataclass(frozen=True)
+class Ran:
+    """Marks of the regions of a function that ran and that were ``missed``.
 
-    whole: set[str] = field(default_factory=set)
-    partly: set[str] = field(default_factory=set)
+    ``missed_names`` are the identifiers in the missed ones.
+    """
+
+    run: frozenset[str]
+    missed: frozenset[str]
+    missed_names: frozenset[str]
 
 
 @contextmanager
 def covered(tree: Tree) -> Iterator[Coverage]:
-    """Filled when the block ends. Slow where code runs that is not wholly covered."""
+    """Filled when the block ends. Slow where code runs that is not wholly covered yet."""
     tracer, result = _Tracer(tree), Coverage()
     before = sys.gettrace()
     threading.settrace(tracer.call)
@@ -40,61 +48,88 @@ def covered(tree: Tree) -> Iterator[Coverage]:
     finally:
         sys.settrace(before)
         threading.settrace(None)  # type: ignore[arg-type]
-        tracer.sort(result)
+        result |= tracer.result()
+
+
+class _Function:
+    """Regions of a unit, and which are left to be run."""
+
+    def __init__(self, regions: list[Region]):
+        self.regions = regions
+        self.left = {i for i, region in enumerate(regions) if region.span != SIGNATURE}
+
+    def ran(self) -> Ran:
+        missed = {self.regions[i] for i in self.left}
+        names = frozenset().union(*(region.names for region in missed))
+        for region in self.regions:
+            # Parameters are tried where all that reads them is.
+            if region.span == SIGNATURE and region.names & names:
+                missed.add(region)
+        return Ran(
+            frozenset(region.mark for region in self.regions if region not in missed),
+            frozenset(region.mark for region in missed),
+            names,
+        )
 
 
 class _Tracer:
     def __init__(self, tree: Tree):
         self.places = Places(tree)
-        self.spans: dict[str, list[Span]] = {}
-        self.codes: dict[CodeType, Watched | None] = {}
+        self.nodes: dict[str, dict[str, Any]] = {}
+        self.functions: dict[str, _Function] = {}
+        self.codes: dict[CodeType, tuple[_Function, dict[int, int], set[int]] | None] = {}
 
     def call(self, frame: FrameType, event: str, argument: Any) -> Callable[..., Any] | None:
         code = frame.f_code
         if code not in self.codes:
             self.codes[code] = self._watch(code)
         entry = self.codes[code]
-        if entry is None or not entry.left:
+        if entry is None:
+            return None
+        function, region_at, own = entry
+        if own.isdisjoint(function.left):
             return None
         frame.f_trace_opcodes = True
         frame.f_trace_lines = False
-        left, of_offset = entry.left, entry.of_offset
+        left = function.left
 
         def step(frame: FrameType, event: str, argument: Any) -> Any:
             if event == "opcode":
-                left.discard(of_offset.get(frame.f_lasti))  # type: ignore[arg-type]
+                left.discard(region_at.get(frame.f_lasti, -1))
             return step
 
         return step
 
-    def _watch(self, code: CodeType) -> Watched | None:
-        module = self.places.module(code.co_filename)
-        if module is None or not code.co_flags & CO_OPTIMIZED:
+    def _watch(self, code: CodeType) -> tuple[_Function, dict[int, int], set[int]] | None:
+        if not code.co_flags & CO_OPTIMIZED:
             return None
-        if code.co_filename not in self.spans:
-            self.spans[code.co_filename] = regions(module.path.read_text(encoding="utf-8"))
-        return watched(code, self.spans[code.co_filename])
+        module, unit = self.places.module(code.co_filename), self.places.unit(code)
+        if module is None or unit is None:
+            return None
+        if unit not in self.functions:
+            node = self._nodes(module).get(unit.rpartition(":")[2])
+            if node is None:
+                return None
+            self.functions[unit] = _Function(regions_of(node, module.data["bindings"]))
+        function = self.functions[unit]
+        region_at = watched(code, function.regions)
+        return function, region_at, set(region_at.values())
 
-    def sort(self, result: Coverage) -> None:
-        """Whole is a unit if all code objects in it ran wholly, those inside functions too."""
-        for code, entry in self.codes.items():
-            if entry is None:
-                continue
-            unit = self.places.unit(code)
-            if unit is None:
-                continue
-            complete = not entry.left and all(
-                (inner := self.codes.get(each)) is not None and not inner.left
-                for each in _inside(code)
-            )
-            (result.whole if complete else result.partly).add(unit)
-        result.whole -= result.partly
+    def _nodes(self, module: Module) -> dict[str, Any]:
+        """Functions of a file by the name of their unit; the last of several."""
+        if module.name not in self.nodes:
+            found: dict[str, Any] = {}
+            _collect(ast.parse(module.path.read_text(encoding="utf-8")), "", found)
+            self.nodes[module.name] = found
+        return self.nodes[module.name]
+
+    def result(self) -> Coverage:
+        return {unit: function.ran() for unit, function in self.functions.items()}
 
 
-def _inside(code: CodeType) -> Iterator[CodeType]:
-    """Code objects of functions, lambdas and comprehensions in ``code``; not of classes."""
-    for constant in code.co_consts:
-        if isinstance(constant, CodeType):
-            if constant.co_flags & CO_OPTIMIZED:
-                yield constant
-            yield from _inside(constant)
+def _collect(node: ast.AST, prefix: str, found: dict[str, Any]) -> None:
+    for child in getattr(node, "body", ()):
+        if isinstance(child, ast.FunctionDef | ast.AsyncFunctionDef):
+            found[prefix + child.name] = child
+        elif isinstance(child, ast.ClassDef):
+            _collect(child, f"{prefix}{child.name}.", found)

@@ -152,7 +152,8 @@ class Writer:
             return
         if isinstance(node, ast.AnnAssign):
             if node.value is not None:
-                self._many("\nAssign", [node.target, node.value])
+                self._put("\n")
+                self._generic(ast.Assign(targets=[node.target], value=node.value))
             return
         self._put("\n")
         self._node(node)

@@ -1,162 +1,145 @@
-"""Small computations with fixed seeds, kept with a trial and made again when code has changed.
+"""Probes: kept with a trial, made again when code has changed, and compared.
 
-A probe gives arrays. Two of the same thing agree if no number differs by more than a relative
-``TOLERANCE``: then the code changed and the numbers did not. Material and method are taken as they
-are; nothing is fitted here.
+A probe is a small computation (:mod:`harness.identity.small`) with what it says of the code: which
+regions of it ran, and how much work it was. If its numbers are the same, and the changed places are
+among those that ran, then the code changed and the numbers of the trial did not.
 """
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+import json
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-if TYPE_CHECKING:
-    from torch import Tensor
+from harness.identity.coverage import covered
+from harness.identity.small import Arrays, agree
+from harness.identity.tree import Tree, Unit
+from harness.identity.tried import tried
+from harness.identity.work import recorded
 
-Arrays = dict[str, NDArray[Any]]
-
-TOLERANCE = 1e-4
-"""Largest relative difference of numbers that count as the same."""
-SEED = 20_260_301
-ROWS = 192
-"""Random rows of a probe; those at edges come on top."""
-_EDGE_OF_ONE = 1 - 2**-24
-_RADII = (0.0, 0.5, 0.98, 0.999, 1 - 1e-6)
-"""Of incident directions on the disk, from normal to grazing."""
+_NOTES = "notes"
 
 
-def agree(first: Mapping[str, NDArray[Any]], second: Mapping[str, NDArray[Any]]) -> bool:
-    """Whether two probes gave the same numbers.
+@dataclass(frozen=True)
+class Probe:
+    """What a probe gave.
 
-    Compared element by element, |a - b| <= TOLERANCE max(|a|, |b|), where the larger of the two is
-    at least a millionth of the array's root mean square: rounding may move what is next to nothing.
-    Not-a-number and infinity must be in the same places.
+    ``arrays`` are its numbers, ``work`` a digest of what the machine was made to do. ``regions``
+    are, by function (``module:unit``), the marks of regions that ran and of those that did not;
+    ``tried`` the values and classes that the numbers speak for.
     """
-    if first.keys() != second.keys():
-        return False
-    return all(_same(np.asarray(first[name]), np.asarray(second[name])) for name in first)
 
+    arrays: Mapping[str, NDArray[Any]]
+    work: str
+    regions: Mapping[str, tuple[frozenset[str], frozenset[str]]]
+    tried: frozenset[str]
 
-def _same(a: NDArray[Any], b: NDArray[Any]) -> bool:
-    if a.shape != b.shape or a.dtype.kind != b.dtype.kind:
-        return False
-    if a.dtype.kind not in "fc":
-        return bool(np.array_equal(a, b))
-    finite = np.isfinite(a)
-    if not np.array_equal(finite, np.isfinite(b)):
-        return False
-    if not np.array_equal(a[~finite], b[~finite], equal_nan=True):
-        return False
-    x, y = a[finite].astype(np.float64), b[finite].astype(np.float64)
-    if not x.size:
-        return True
-    floor = 1e-6 * math.sqrt(float(np.square(np.maximum(np.abs(x), np.abs(y))).mean()))
-    return bool((np.abs(x - y) <= TOLERANCE * np.maximum(np.maximum(abs(x), abs(y)), floor)).all())
+    def packed(self) -> Arrays:
+        """All of it as arrays, to be stored."""
+        regions = {u: [" ".join(sorted(m)) for m in both] for u, both in self.regions.items()}
+        notes = {"work": self.work, "regions": regions, "tried": sorted(self.tried)}
+        text = json.dumps(notes, sort_keys=True)
+        return {**self.arrays, _NOTES: np.frombuffer(text.encode(), np.uint8)}
 
-
-def of_material(material: Any, device: str = "cpu") -> Arrays:
-    """f and what goes with it, on random and on grazing rows.
-
-    Conditions as the material draws them; ``places`` inside and outside of [0, 1]^2; ``eval``,
-    ``target``, ``eval_luminance`` and ``target_grid`` on the disk, on its rim and beyond; ``eval``
-    again with none of the material's own effects.
-    """
-    condition, wo = _rows(material, device)
-    found = {
-        "conditions": condition,
-        "eval": material.eval(condition, wo),
-        "target": material.target(condition, wo),
-        "luminance": material.eval_luminance(condition, wo),
-        "grid": material.target_grid(condition[:8], wo[None, :64]),
-        "places": material.places(_places(device)),
-    }
-    if material.effects:
-        plain = material.with_effects(frozenset())
-        found["plain"] = plain.eval(condition, wo)
-        found["plain places"] = plain.places(_places(device))
-    return {name: _numbers(value) for name, value in found.items()}
-
-
-def of_method(method: Any, material: Any, device: str = "cpu") -> Arrays:
-    """Samples, their densities and weights, and the density elsewhere, of a fitted method.
-
-    Uniforms are random, and zero, a half or next to one in every column.
-    """
-    import torch
-
-    condition, wo = _rows(material, device)
-    with torch.inference_mode():
-        u = _uniforms(len(condition), device)
-        sampled = method.sample(condition, u)
-        weighted = method.sample_weighted(condition, u)
-        found = {
-            "wo": sampled.wo,
-            "pdf": sampled.pdf,
-            "weighted wo": weighted.wo,
-            "weighted pdf": weighted.pdf,
-            "weight": weighted.weight,
-            "pdf elsewhere": method.pdf(condition, wo),
-            "pdf of samples": method.pdf(condition, sampled.wo),
+    @classmethod
+    def unpacked(cls, arrays: Mapping[str, NDArray[Any]]) -> Probe:
+        """Inverse of :meth:`packed`."""
+        notes = json.loads(bytes(arrays[_NOTES]))
+        regions = {
+            unit: (frozenset(run.split()), frozenset(missed.split()))
+            for unit, (run, missed) in notes["regions"].items()
         }
-    return {name: _numbers(value) for name, value in found.items()}
+        rest = {name: value for name, value in arrays.items() if name != _NOTES}
+        return cls(rest, notes["work"], regions, frozenset(notes["tried"]))
 
 
-def of_outcome(outcome: Any) -> Arrays:
-    """Arrays, images and numbers of what a measure gave for a tiny job."""
-    found = {f"array {name}": np.asarray(value) for name, value in outcome.arrays.items()}
-    found |= {f"image {name}": np.asarray(value) for name, value in outcome.images.items()}
-    found["records"] = np.array([record.value for record in outcome.records], dtype=np.float64)
-    found |= {f"state {k}": _numbers(v) for k, v in (outcome.tensors or {}).items()}
+def probed(
+    tree: Tree, units: Mapping[tuple[str, str], Unit], compute: Callable[[], Arrays]
+) -> Probe:
+    """The probe ``compute`` of code that reaches ``units`` of ``tree``.
+
+    It is run three times: first to compile and load whatever that takes, then for its numbers and
+    its work, and once more, slowly, to see what runs.
+    """
+    compute()
+    with recorded() as work:
+        arrays = compute()
+    with covered(tree) as coverage:
+        compute()
+    inside = {str(unit) for unit in units.values()}
+    regions = {u: (ran.run, ran.missed) for u, ran in coverage.items() if u in inside}
+    return Probe(arrays, work.digest, regions, tried(units, coverage))
+
+
+def difference(
+    old: Probe,
+    new: Probe,
+    old_units: Mapping[str, str],
+    new_units: Mapping[str, str],
+    timed: bool = False,
+) -> str:
+    """Why the numbers of a trial may have changed with its code; "" if they have not.
+
+    ``old_units`` and ``new_units`` are the units of the part with their hashes, as in
+    :class:`~harness.identity.digests.SourceDigest`. What is different between them has to have run.
+    A ``timed`` trial needs the same work too.
+    """
+    untried = sorted(
+        {
+            *_untried(new, old, new_units, old_units, _moved(new_units, old_units)),
+            *_untried(old, new, old_units, new_units, _moved(old_units, new_units)),
+        }
+    )
+    if untried:
+        more = f" and {len(untried) - 1} more" if len(untried) > 1 else ""
+        return f"{untried[0]}{more} changed, which the probe does not run there"
+    if not agree(old.arrays, new.arrays):
+        return "the numbers of the probe changed"
+    if timed and old.work != new.work:
+        return "the work that is timed changed"
+    return ""
+
+
+def _untried(
+    probe: Probe,
+    other: Probe,
+    here: Mapping[str, str],
+    there: Mapping[str, str],
+    known_as: Mapping[str, str],
+) -> list[str]:
+    """Units that differ ``here`` from ``there`` in a place that ``probe`` did not run."""
+    found = []
+    for unit, value in here.items():
+        twin = known_as.get(unit, "")
+        if twin and there[twin] == value:
+            continue
+        if unit in probe.regions:
+            run, missed = probe.regions[unit]
+            before = frozenset().union(*other.regions.get(twin, ()))
+            only_here = missed - before
+            # Nothing of its own text changed: what it calls did, wherever in it that is.
+            same_text = run | missed == before
+            if only_here or (same_text and missed):
+                found.append(unit)
+        elif unit not in probe.tried:
+            found.append(unit)
     return found
 
 
-def _rows(material: Any, device: str) -> tuple[Tensor, Tensor]:
-    """Conditions [N, C] as the material draws them and at fixed angles, and directions [N, 2]."""
-    import torch
-
-    generator = torch.Generator().manual_seed(SEED)
-    drawn = material.conditions(ROWS, generator, device)
-    fixed = drawn[: 8 * len(_RADII)].clone()
-    radius = torch.tensor(_RADII, device=device).repeat_interleave(8)
-    angle = torch.arange(len(fixed), device=device) * 2.4
-    fixed[:, -2] = radius * angle.cos()
-    fixed[:, -1] = radius * angle.sin()
-    condition = torch.cat([drawn, fixed])
-    r = torch.rand(len(condition), generator=generator).to(device).sqrt()
-    r[::8] = 0.9999  # grazing
-    r[4::32] = 1.2  # off the disk
-    phi = 2 * math.pi * torch.rand(len(condition), generator=generator).to(device)
-    # Some next to the mirrored direction, where a peak may be.
-    wo = torch.stack([r * phi.cos(), r * phi.sin()], 1)
-    wo[1::8] = -condition[1::8, -2:] + 0.01 * wo[1::8]
-    return condition, wo
-
-
-def _uniforms(rows: int, device: str) -> Tensor:
-    import torch
-
-    u = torch.rand(rows, 3, generator=torch.Generator().manual_seed(SEED + 1)).to(device)
-    for column in range(3):
-        for place, value in enumerate((0.0, 0.5, _EDGE_OF_ONE)):
-            u[12 * column + 4 * place :: 48, column] = value
-    return u
-
-
-def _places(device: str) -> Tensor:
-    """Texture coordinates [N, 2]: random ones in and beyond [0, 1]^2, and corners."""
-    import torch
-
-    uv = torch.rand(64, 2, generator=torch.Generator().manual_seed(SEED + 2)) * 3 - 1
-    corners = torch.tensor([[0.0, 0.0], [0.0, 1.0], [1.0, 0.0], [1.0, 1.0], [_EDGE_OF_ONE, 0.5]])
-    return torch.cat([uv, corners]).to(device)
-
-
-def _numbers(value: Any) -> NDArray[Any]:
-    if hasattr(value, "detach"):
-        value = value.detach().cpu()
-        value = value.float() if str(value.dtype) == "torch.bfloat16" else value
-    return np.asarray(value)
+def _moved(here: Mapping[str, str], there: Mapping[str, str]) -> dict[str, str]:
+    """For each unit the one it was, or became: of the same name, if there is no other of it."""
+    by_name: dict[str, list[str]] = {}
+    for unit in there:
+        by_name.setdefault(unit.rpartition(":")[2], []).append(unit)
+    found = {}
+    for unit in here:
+        others = by_name.get(unit.rpartition(":")[2], [])
+        if unit in there:
+            found[unit] = unit
+        elif len(others) == 1:
+            found[unit] = others[0]
+    return found

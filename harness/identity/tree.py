@@ -41,6 +41,8 @@ class Unit:
     methods: tuple[str, ...] = ()
     always: tuple[str, ...] = ()
     """Of a class: methods that need no mention."""
+    attributes: frozenset[str] = frozenset()
+    """Of a class: names that its body binds, other than methods."""
 
     @property
     def key(self) -> tuple[str, str]:
@@ -280,6 +282,7 @@ class Tree:
             imports=tuple(self.imported(module, data["imports"])),
             methods=tuple(data.get("methods", ())),
             always=always,
+            attributes=frozenset(data.get("attributes", ())),
         )
 
     def entry(self, text: str) -> tuple[str, str]:

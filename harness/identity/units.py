@@ -35,7 +35,8 @@ def units_of(text: str) -> dict[str, Any]:
     has ``kind``, ``hash``, ``references``, ``strong`` (indices of references to what may run),
     ``mentions``, ``prefixes``, ``strings``, ``dynamic``, ``imports``, ``lines`` (first and last of
     each statement) and ``effect``: whether importing the module runs it for more than its name. A
-    class has ``bases``, ``methods`` and ``always`` (methods that need no mention to be called).
+    class has ``bases``, ``methods``, ``always`` (methods that need no mention to be called) and
+    ``attributes``.
 
     Raises:
         SyntaxError, ValueError: ``text`` is not valid Python.
@@ -119,6 +120,7 @@ class _Splitter:
         self._add(name, CLASS, piece, [node], effect=not _pure(node))
         unit = self.units[name]
         unit["methods"], unit["always"] = methods, sorted(set(always))
+        unit["attributes"] = sorted(scopes.of_class(node).names - set(methods))
         bases = Writer(self.file)
         for base in node.bases:
             bases._node(base.value if isinstance(base, ast.Subscript) else base)

@@ -2,7 +2,7 @@
 
 A unit can go to any machine: it needs the plan, the names in it, and a results folder that
 the workers share or that is gathered afterwards. Timed measures must have their machine to
-themselves (see :func:`harness.runner.machine_lock.turn`).
+themselves (see :func:`harness.runner.machine_lock.machine`).
 """
 
 from __future__ import annotations

@@ -49,7 +49,7 @@ class Jobs:
             trial=trial,
             material=self.resolved.material(trial),
             method=make() if fresh else self._restored(trial, make),
-            scene=self._scene(trial),
+            scene=self.scene(trial),
             seed=trial.seed,
             generator=torch.Generator().manual_seed(stream_seed(trial.measure, trial.seed)),
             settings=dict(trial.settings),
@@ -65,7 +65,8 @@ class Jobs:
         """Free the fitted methods: those of one material are of no use for the next."""
         self._fitted.clear()
 
-    def _scene(self, trial: Trial) -> Any | None:
+    def scene(self, trial: Trial) -> Any | None:
+        """The scene of ``trial``, with what ``auto`` stands for; None for one without."""
         scene = self.resolved.scene(trial)
         return self._without_auto(trial, scene) if scene and is_auto(scene.effects) else scene
 

@@ -101,7 +101,7 @@ def make_todo(
             if not (usable and _done(state, retry_failed)):
                 open_[fit] = by_hash[fit]
     fits = [t for t in _unique(plan.trials) if t.measure == FIT and t.hash in open_]
-    again = {fit.hash for fit in fits if fit.hash in stored}
+    again = {fit.hash for fit in fits}
     doubtful = [t for t in selected if t.hash not in open_ and again & set(needed_fits(plan, t))]
     open_ |= {trial.hash: trial for trial in doubtful}
     groups = _groups(plan, [t for t in open_.values() if t.measure != FIT])

@@ -49,12 +49,10 @@ class Validity:
         """A digest per part, as they are now; of a fit that is not stored yet "" for its state."""
         found = {name: source.digest for name, source in self.sources(trial).items()}
         found[VERSIONS] = ", ".join(f"{k} {v}" for k, v in machine.versions().items())
-        if trial.fit:
-            found[STATE_PART] = self._state(trial.fit)
-        if trial.timed and trial.method != self.plan.baseline:
-            base = self.plan.baseline_of(trial)
-            found[BASELINE] = self.sources(base)[ADAPTER].digest
-            found[BASELINE_STATE] = self._state(base.fit)
+        for part, fit in self._fits(trial).items():
+            found[part] = self._state(fit)
+        if self._compared(trial):
+            found[BASELINE] = self.sources(self.plan.baseline_of(trial))[ADAPTER].digest
         return found
 
     def entries(self, trial: Trial) -> dict[str, Any]:
@@ -76,18 +74,36 @@ class Validity:
         return self._sources[key]
 
     def verdict(self, trial: Trial) -> Verdict:
-        """Of the stored trial, which is there."""
+        """Of the stored trial, which is there.
+
+        A fit that is not stored says nothing yet: made again it may give the same state.
+        """
         sources = {s.digest: s.units for s in self.sources(trial).values()}
 
         def details(part: str, old: str, new: str) -> list[str]:
             before, after = self.units(old), sources.get(new)
             return changed_units(before, short(after)) if before and after else []
 
-        return judge(self.stored[trial.hash].parts, self.parts(trial), details=details)
+        before, now = dict(self.stored[trial.hash].parts), self.parts(trial)
+        for part, fit in self._fits(trial).items():
+            if fit not in self.stored:
+                before.pop(part, None)
+                now.pop(part, None)
+        return judge(before, now, details=details)
 
     def stands(self, trial: Trial) -> bool:
         """Whether a trial is stored and its numbers are current."""
         return trial.hash in self.stored and self.verdict(trial).stands
+
+    def _fits(self, trial: Trial) -> dict[str, str]:
+        """Keys of the fits whose states are parts of the trial, by part."""
+        found = {STATE_PART: trial.fit} if trial.fit else {}
+        if self._compared(trial):
+            found[BASELINE_STATE] = self.plan.baseline_of(trial).fit
+        return found
+
+    def _compared(self, trial: Trial) -> bool:
+        return trial.timed and trial.method != self.plan.baseline
 
     def _of(self, trial: Trial) -> dict[str, Part]:
         key = self._key(trial)

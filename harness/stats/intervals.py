@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -62,17 +63,13 @@ def median_interval(x: ArrayLike, level: float = 0.95) -> Interval:
     if n == 1:
         return Interval(middle, float("nan"), float("nan"))
 
-    def covered(k: int) -> float:
-        """Exact level of [k-th smallest, k-th largest], k from 1."""
-        return 1 - 2 * float(stats.binom.cdf(k - 1, n, 0.5))
-
-    if covered(1) <= level:
+    if _covered(1, n) <= level:
         return Interval(middle, float(x[0]), float(x[-1]))
     k = 1
-    while k + 1 <= n // 2 and covered(k + 1) >= level:
+    while k + 1 <= n // 2 and _covered(k + 1, n) >= level:
         k += 1
     inner = min(k + 1, (n + 1) // 2)
-    wide, narrow = covered(k), covered(inner)
+    wide, narrow = _covered(k, n), _covered(inner, n)
     if inner == k or wide == narrow:
         return Interval(middle, float(x[k - 1]), float(x[n - k]))
     share = (wide - level) / (wide - narrow)
@@ -80,6 +77,12 @@ def median_interval(x: ArrayLike, level: float = 0.95) -> Interval:
     low = (1 - weight) * x[k - 1] + weight * x[inner - 1]
     high = (1 - weight) * x[n - k] + weight * x[n - inner]
     return Interval(middle, float(low), float(high))
+
+
+@lru_cache(maxsize=1024)
+def _covered(k: int, n: int) -> float:
+    """Exact level of [k-th smallest, k-th largest] of n values, k from 1."""
+    return 1 - 2 * float(stats.binom.cdf(k - 1, n, 0.5))
 
 
 def ratio_of_means(

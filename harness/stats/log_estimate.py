@@ -26,6 +26,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -34,6 +35,9 @@ from scipy import stats
 RESAMPLES = 4000
 FEWEST = 5
 """Fewest values to resample. Below, resamples repeat one value too often (t* = x/0)."""
+
+_CHUNK = 2**20
+"""Most row numbers drawn at once."""
 
 Seed = int | np.random.Generator
 
@@ -205,11 +209,21 @@ def _resampled(
     statistic: Callable[[NDArray], tuple[NDArray, ...]], n: int, seed: Seed
 ) -> list[NDArray]:
     """``statistic`` of row numbers [r, n] drawn with replacement, in chunks that fit in memory."""
+    chunk = max(1, _CHUNK // n)
+    if isinstance(seed, int) and chunk >= RESAMPLES:
+        return list(statistic(_rows(n, seed)))
     rng = np.random.default_rng(seed)
-    chunk = max(1, 2**20 // n)
     sizes = [min(chunk, RESAMPLES - done) for done in range(0, RESAMPLES, chunk)]
     parts = [statistic(rng.integers(n, size=(size, n))) for size in sizes]
     return [np.concatenate(column) for column in zip(*parts, strict=True)]
+
+
+@lru_cache(maxsize=8)
+def _rows(n: int, seed: int) -> NDArray:
+    """Row numbers [RESAMPLES, n]: the same for all series of ``n`` values, and drawn once."""
+    rows = np.random.default_rng(seed).integers(n, size=(RESAMPLES, n))
+    rows.flags.writeable = False
+    return rows
 
 
 def _same_length(a: NDArray, b: NDArray) -> int:

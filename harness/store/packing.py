@@ -46,7 +46,7 @@ def array_bytes(array: np.ndarray) -> bytes:
     """An array in NumPy's own format, little-endian and C-ordered; objects are refused."""
     import numpy as np
 
-    array = np.ascontiguousarray(array)
+    array = np.asarray(array, order="C")  # np.ascontiguousarray makes a scalar one-dimensional
     if array.dtype.hasobject:
         raise ValueError(f"an array of {array.dtype}: only numbers, truth values and text are kept")
     buffer = io.BytesIO()
