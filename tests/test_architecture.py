@@ -14,7 +14,7 @@ ROOT = Path(__file__).parents[1]
 LAYERS = """
     cli harness bench runner report suite measures checks rendering scenes training materials
     microgeometry geometry methods importance_maps fitting nets textures analysis store effects
-    identity mitsuba_runtime stats core
+    mitsuba_runtime identity stats core
 """.split()
 """From the top down. A package imports itself and what stands after it; ``harness`` is the
 package's own ``__init__`` with the public names."""
@@ -169,3 +169,9 @@ def test_the_documented_layers_are_those():
     place = {name: i for i, name in enumerate(LAYERS)}
     assert set(listed) == set(LAYERS) - {"harness"}
     assert [place[name] for name in listed] == sorted(place[name] for name in listed)
+
+
+def test_no_file_of_tests_is_long():
+    """A long one tests several subjects."""
+    for file in (ROOT / "tests").glob("*.py"):
+        assert len(file.read_text("utf-8").splitlines()) < 450, file.name

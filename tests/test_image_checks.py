@@ -3,76 +3,34 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
-from functools import cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
-from harness.analysis.records import image_checks as records
 from harness.analysis.records.image_checks import ROUNDING
+from harness.analysis.results import Results
 from harness.core import registry
-from harness.core.protocol.disk import inside_disk
 from harness.core.protocol.material import Material
-from harness.core.protocol.method import Budget, DiskSample, Method
+from harness.core.protocol.method import DiskSample, Method
 from harness.materials import registry as materials
 from harness.measures import registry as measures
 from harness.measures.base import Job
 from harness.mitsuba_runtime import variant
-from harness.report.tables.image_checks import CHECKS, RATIOS
+from harness.report.table import Table
+from harness.report.tables.image_checks import CHECKS, NOISELESS, RATIOS, image_checks
 from harness.scenes import registry as scenes
-from harness.stats.blocks import Blocks
-from harness.stats.intervals import mean_interval
-from harness.stats.ztest import Agreement
 from tests import measuring
-from tests.test_rendering import SometimesNan, UniformDisk, White, mitsuba, white, xml_scene
+from tests.test_rendering import White, mitsuba, white
 
 mi = variant.use("cpu")
 
 from harness.measures.image_checks import FURNACE, is_white  # noqa: E402
-from harness.rendering.misreported import MisreportedBSDF, tilted, tripled  # noqa: E402
-from harness.rendering.prepared import Prepared, prepare  # noqa: E402
-
-BUDGET = Budget(steps=120, conditions=64, directions=32, resolution=32, pool=256)
-"""As ``harness check`` fits."""
-ALPHA = 1e-3
-"""Chance that a right method fails a test of this file; seeds are fixed, so it happens or not."""
-STUDIO = scenes.make("studio-sphere")
-
-
-# --- planted faults --------------------------------------------------------------------
-
-
-class Tilted(Method):
-    """Right, and not the cosine: the density (1 + x / 2) / pi on the disk.
-
-    A point uniform on the disk has its x made positive with probability 1/2 + |x| / 4, else
-    negative, which is x's share of the density at x and -x.
-    """
-
-    name = "leaning"
-    factor = 1.0
-    """Of the density it reports, sampled and asked for."""
-    limit = math.inf
-    """Samples of a larger f / p are dropped."""
-
-    def sample(self, condition: Tensor, u: Tensor) -> DiskSample:
-        """See :meth:`Method.sample`."""
-        turn = 2 * math.pi * u[:, 1]
-        x, y = (u[:, :1].sqrt() * torch.stack([turn.cos(), turn.sin()], -1)).unbind(-1)
-        right = u[:, 2] < 0.5 + x.abs() / 4
-        wo = torch.stack([torch.where(right, x.abs(), -x.abs()), y], -1)
-        pdf = self.pdf(condition, wo)
-        large = 1 / math.pi / pdf > self.limit
-        return DiskSample(torch.where(large[:, None], 2.0, wo), pdf)
-
-    def pdf(self, condition: Tensor, wo: Tensor) -> Tensor:
-        """See :meth:`Method.pdf`."""
-        return torch.where(inside_disk(wo), self.factor * (1 + wo[:, 0] / 2) / math.pi, 0)
+from harness.rendering.prepared import prepare  # noqa: E402
+from tests.image_subjects import ALPHA, BUDGET, STUDIO, Image, Tilted, compare, fitted, grey, image  # noqa: E402
 
 
 class FivePercent(Tilted):
@@ -126,38 +84,6 @@ class Hole(Tilted):
         return torch.where(wo[:, 0] < -0.5, 0, super().pdf(condition, wo))
 
 
-class NanPdf(UniformDisk):
-    """Its samples are right; asked for the density of a direction it sometimes has none."""
-
-    name = "nan-pdf"
-
-    def sample(self, condition: Tensor, u: Tensor) -> DiskSample:
-        """See :meth:`Method.sample`."""
-        wo, _ = super().sample(condition, u)
-        return DiskSample(wo, torch.full_like(u[:, 0], 1 / math.pi))
-
-    def pdf(self, condition: Tensor, wo: Tensor) -> Tensor:
-        """See :meth:`Method.pdf`."""
-        return torch.where(wo[:, 0].abs() < 0.01, math.nan, super().pdf(condition, wo))
-
-
-# --- helpers ---------------------------------------------------------------------------
-
-
-def grey() -> Material:
-    """Lambertian, and not white."""
-    return mitsuba("diffuse", reflectance={"type": "rgb", "value": 0.4})
-
-
-def fitted(method: str | Method, material: Material) -> Method:
-    """Shortly; tables get a size for tests."""
-    if isinstance(method, str):
-        small = {"resolution": 16} if method == "tabulated" else {}
-        method = registry.make(method, **small)
-    method.fit(material, BUDGET, torch.Generator().manual_seed(0))
-    return method
-
-
 def job(method: Method, material: Material, scene: Any = STUDIO, **given: Any) -> Job:
     """As the runner makes it."""
     return Job(
@@ -182,26 +108,6 @@ def run(method: str | Method, material: Material, scene: Any = STUDIO, **given: 
     found = {r.metric: r for r in outcome.records}
     assert len(found) == len(outcome.records)
     return found
-
-
-@dataclass(frozen=True)
-class Image:
-    """Mean luminance [H, W] and the variance of that mean."""
-
-    mean: NDArray
-    variance: NDArray
-
-
-def compare(image: Image, expected: Image, mask: NDArray[np.bool_]) -> Agreement:
-    """As the records are made, of moments of blocks."""
-    blocks = (Blocks.of(one.mean, one.variance, mask) for one in (image, expected))
-    return records.compare(*blocks)
-
-
-def image(prepared: Prepared, spp: int, seed: int, batches: int = 6) -> Image:
-    """Of ``batches`` renders of ``spp`` samples each; the variance from their scatter."""
-    means = np.array([prepared.render(spp, seed + k).mean for k in range(batches)])
-    return Image(means.mean(0), means.var(0, ddof=1) / batches)
 
 
 def furnace_p(method: Method, material: Material, spp: int = 32) -> float:
@@ -281,111 +187,6 @@ def test_is_white():
     assert not is_white(materials.make("suede"), own)
 
 
-# --- MIS -------------------------------------------------------------------------------
-
-
-@cache
-def strategies(name: str) -> tuple[dict[str, Prepared], Material]:
-    """BSDF samples alone, MIS, and misled MIS, of a glossy material under small bright lamps."""
-    material = materials.make("brushed-metal")
-    method = fitted(UniformDisk() if name == "torch" else name, material)
-    made = {
-        "bsdf": prepare(STUDIO, material, method, 24),
-        "mis": prepare(STUDIO, material, method, 24, sampling="mis"),
-    }
-    for factor in (tripled, tilted, lambda wi, wo: 100.0):
-        made[factor.__name__] = prepare(
-            STUDIO, material, method, 24, "mis", lambda m, f, c=factor: MisreportedBSDF(m, f, c)
-        )
-    return made, material
-
-
-@pytest.mark.parametrize("name", ["two-lobe", "histogram", "native"])
-def test_mis_on_and_off_agree(name):
-    """In columns and in torch, on the same image; and light samples help."""
-    made, _ = strategies(name)
-    mask = made["bsdf"].mask
-    spp = 16 if name == "histogram" else 64
-    on, off = image(made["mis"], spp, 10), image(made["bsdf"], spp, 50)
-    assert compare(on, off, mask).p_value > ALPHA
-    assert on.variance[mask].mean() < 0.8 * off.variance[mask].mean()
-    # Nor is the test blind.
-    assert compare(replace(on, mean=1.3 * on.mean), off, mask).p_value < ALPHA
-
-
-def test_wrong_density_for_mis():
-    """Changes the variance of one sample, by a lot, and not the mean."""
-    made, _ = strategies("two-lobe")
-    mask, seen, noise = made["mis"].mask, {}, {}
-    for number, name in enumerate(("mis", "tripled", "tilted", "<lambda>")):
-        passes = [made[name].render(64, 100 * number + k) for k in range(8)]
-        means = np.array([p.mean for p in passes])
-        seen[name] = Image(means.mean(0), means.var(0, ddof=1) / len(passes))
-        noise[name] = mean_interval([p.error(mask) for p in passes])
-    for name in ("tripled", "tilted", "<lambda>"):
-        assert compare(seen[name], seen["mis"], mask).p_value > ALPHA
-        assert noise[name].low > noise["mis"].high
-    assert noise["<lambda>"].value > 1.5 * noise["mis"].value
-
-
-def test_misreported_density():
-    """The value of a sample is the right one's; every density reported has the factor."""
-    material = grey()
-    method = fitted(UniformDisk(), material)
-    right = prepare(STUDIO, material, method, 4).bsdf
-    wrong = MisreportedBSDF(material, method, tilted)
-    si = mi.SurfaceInteraction3f()
-    si.wi = mi.Vector3f(0.3, 0.2, math.sqrt(1 - 0.13))
-    context, u = mi.BSDFContext(), mi.Point2f([0.1, 0.6, 0.9], [0.7, 0.2, 0.4])
-    (a, value_a), (b, value_b) = (f.sample(context, si, mi.Float(0.5), u) for f in (right, wrong))
-    assert np.array_equal(value_a.numpy(), value_b.numpy())
-    factor = np.exp(2 * a.wo.x.numpy())
-    np.testing.assert_allclose(b.pdf.numpy(), factor * a.pdf.numpy(), rtol=1e-6)
-    value, pdf = wrong.eval_pdf(context, si, a.wo)
-    assert np.array_equal(value.numpy(), right.eval(context, si, a.wo).numpy())
-    np.testing.assert_allclose(pdf.numpy(), b.pdf.numpy(), rtol=1e-6)
-    np.testing.assert_allclose(wrong.pdf(context, si, a.wo).numpy(), b.pdf.numpy(), rtol=1e-6)
-
-
-@pytest.mark.parametrize("method", [NanPdf(), SometimesNan("pdf"), SometimesNan("wo")])
-def test_nan_is_not_hidden_by_mis(method):
-    """A weight that is nan would count as zero; the image must not look fine."""
-    material = White()
-    prepared = prepare(STUDIO, material, fitted(method, material), 16, sampling="mis")
-    assert not np.isfinite(prepared.render(64, 0).rgb[prepared.mask]).all()
-
-
-def test_mis_in_a_file(tmp_path):
-    """Of the user's, with right and misled densities; BSDF samples stay the default."""
-    material = White(0.7)
-    method = fitted(Tilted(), material)
-    scene = xml_scene(tmp_path, "glaze")
-    images = [
-        image(prepared, 64, 100 * number)
-        for number, prepared in enumerate(
-            (
-                prepare(scene, material, method, 32),
-                prepare(scene, material, method, 32, "mis"),
-                prepare(
-                    scene, material, method, 32, "mis", lambda m, f: MisreportedBSDF(m, f, tripled)
-                ),
-            )
-        )
-    ]
-    mask = prepare(scene, material, method, 32).mask
-    assert mask.sum() > 10
-    off, on, misled = images
-    assert compare(on, off, mask).p_value > ALPHA
-    assert compare(misled, on, mask).p_value > ALPHA
-    assert on.mean[mask].mean() == pytest.approx(0.7, abs=0.02)
-
-
-def test_unknown_sampling():
-    """No strategy is taken for another."""
-    with pytest.raises(KeyError):
-        prepare(STUDIO, white(), fitted("cosine", white()), 4, sampling="emitter")
-
-
 # --- the measure -----------------------------------------------------------------------
 
 
@@ -442,3 +243,61 @@ def test_black_material():
     found = run("cosine", black)
     assert set(found) == {*(f"{c}{end}" for c in CHECKS for end in ("-z", "-p")), "p", "spp"}
     assert found["p"].value == 1
+
+
+# --- the table -------------------------------------------------------------------------
+
+
+def table(rows: list[dict[str, Any]]) -> Table | str:
+    """Of stored records."""
+    import pandas as pd
+
+    columns = {"suite": "s", "scene": "studio-sphere", "measure": "image-checks", "seed": 0}
+    columns |= {"ci_low": math.nan, "ci_high": math.nan, "unit": "1", "status": "ok", "reason": ""}
+    full = [{**columns, "trial": f"{row['material']}-{row['method']}", **row} for row in rows]
+    plan = {
+        "trials": [
+            {"method": m, "identity": {"method": {"name": m}}}
+            for m in dict.fromkeys(row["method"] for row in rows)
+        ]
+    }
+    return image_checks(Results(Path(), pd.DataFrame(full), plan))
+
+
+def test_table():
+    """p-values corrected over the whole table, a mark where one is small, ratios, daggers."""
+    rows = []
+    for method, p in (("right", 0.02), ("wrong", 1e-9)):
+        at = {"material": "suede", "method": method}
+        rows += [{**at, "metric": f"{c}-p", "value": p} for c in CHECKS]
+        rows += [{**at, "metric": c, "value": -0.05} for c in CHECKS]
+        rows.append({**at, "metric": "mis-variance", "value": 2.0, "ci_low": 1.9, "ci_high": 2.1})
+    rows.append(
+        {
+            "material": "suede",
+            "method": "lost",
+            "metric": "",
+            "value": math.nan,
+            "status": "timeout",
+            "reason": "slow",
+        }
+    )
+    made = table(rows)
+    assert isinstance(made, Table) and made.columns == ["right", "wrong", "lost"]
+    (section,) = made.sections
+    assert section.title == "studio-sphere, suede" and len(section.rows) == 9
+    right, wrong, lost = section.rows[0].cells
+    # Six of the twelve are smaller: the others count six times.
+    assert right.value == pytest.approx(0.12) and not right.warning
+    assert wrong.value == pytest.approx(1.2e-8) and "wrong on suede, furnace" in wrong.warning
+    assert "-5.00%" in wrong.warning and lost.missing == "timeout: slow"
+    ratio, missing = section.rows[6].cells[0], section.rows[7].cells[0]
+    assert (ratio.value, ratio.low, ratio.high, ratio.suffix) == (2.0, 1.9, 2.1, "×")
+    assert missing.missing == NOISELESS
+    assert "6 of 12" in made.caption
+
+
+def test_no_table():
+    """Of a suite without the measure."""
+    row = {"material": "suede", "method": "cosine", "metric": "kl", "value": 1.0, "measure": "pdf"}
+    assert table([row]) == "no trial of the measure image-checks is stored"

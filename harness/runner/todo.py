@@ -45,8 +45,8 @@ class Todo:
     """``units`` to carry out; ``selected`` trials the run is about, done or not.
 
     ``stored`` are the planned trials that are there, ``stale`` why some of them do not hold any
-    more, ``equivalent`` that their code changed and their numbers did not. ``doubtful`` ones are to be measured only if their fit, which is made again, comes out
-    different.
+    more, ``equivalent`` that their code changed and their numbers did not. ``doubtful`` ones are
+    to be measured only if their fit, which is made again, comes out different.
     """
 
     units: list[Unit]

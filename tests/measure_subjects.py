@@ -1,4 +1,4 @@
-"""Methods and materials whose numbers are known beforehand, and their jobs."""
+"""Materials, methods and jobs for tests of the measures."""
 
 from __future__ import annotations
 
@@ -12,16 +12,11 @@ from torch import Tensor
 from harness.core.protocol.disk import inside_disk
 from harness.core.protocol.material import Material
 from harness.core.protocol.method import Budget, DiskSample, Method
-from harness.fitting.targets import cells
 from harness.measures import registry as measures
 from harness.measures.base import Job, Outcome
-from harness.mitsuba_runtime import variant
 from harness.scenes import registry as scenes
 from tests.materials import Plain
 from tests.measuring import run
-from tests.planted import Correct
-
-variant.use("cpu")
 
 SCENE = scenes.make("uniform-sphere")
 
@@ -65,49 +60,6 @@ class Uneven(Method):
         return torch.where(inside_disk(wo), (1 - self.lost) * half / math.pi, 0)
 
 
-class Exact(Uneven):
-    """The density of :class:`Still`, for what needs no samples of it."""
-
-    name = "exact"
-
-    def pdf(self, condition: Tensor, wo: Tensor) -> Tensor:
-        """See :meth:`Method.pdf`."""
-        total = Still().target_grid(condition[:1], cells(256)[None]).mean() * math.pi
-        return Still().target(condition, wo) / total
-
-
-class TooLarge(Correct):
-    """Its density is ten per cent too large, so its images are too dark."""
-
-    name = "too-large"
-
-    def pdf(self, condition: Tensor, wo: Tensor) -> Tensor:
-        """See :meth:`Method.pdf`."""
-        return 1.1 * super().pdf(condition, wo)
-
-
-class Rare(Uneven):
-    """Right, but three samples in a hundred thousand carry a tenth of the light."""
-
-    name = "rare"
-    outside, rare = 0.1, 3e-5
-
-    def sample(self, condition: Tensor, u: Tensor) -> DiskSample:
-        """See :meth:`Method.sample`."""
-        inside = 1 - self.outside
-        low = torch.where(u[:, 2] < self.rare, inside, 0)
-        width = torch.where(u[:, 2] < self.rare, self.outside, inside)
-        r, turn = (low + width * u[:, 0]).sqrt(), 2 * math.pi * u[:, 1]
-        wo = 0.999999 * r[:, None] * torch.stack([turn.cos(), turn.sin()], -1)
-        return DiskSample(wo, self.pdf(condition, wo))
-
-    def pdf(self, condition: Tensor, wo: Tensor) -> Tensor:
-        """See :meth:`Method.pdf`."""
-        inside = wo.square().sum(-1) < 0.999999**2 * (1 - self.outside)
-        times = torch.where(inside, (1 - self.rare) / (1 - self.outside), self.rare / self.outside)
-        return times * super().pdf(condition, wo)
-
-
 class Sleepy(Uneven):
     """As good as :class:`Uneven`, but slow."""
 
@@ -127,19 +79,6 @@ class Nan(Uneven):
     def pdf(self, condition: Tensor, wo: Tensor) -> Tensor:
         """See :meth:`Method.pdf`."""
         return super().pdf(condition, wo) * math.nan
-
-
-class Glacial(Uneven):
-    """0.15 s a row, and not to be asked for an image."""
-
-    name = "glacial"
-
-    def sample(self, condition: Tensor, u: Tensor) -> DiskSample:
-        """See :meth:`Method.sample`."""
-        if len(condition) > 1:
-            raise AssertionError("was asked for an image")
-        time.sleep(0.15)
-        return super().sample(condition, u)
 
 
 def job(
@@ -183,3 +122,11 @@ def assert_same_bytes(*outcomes: Outcome, names: tuple[str, ...]) -> None:
         first, *others = (o.arrays[name] for o in outcomes)
         for other in others:
             assert (other.dtype, other.tobytes()) == (first.dtype, first.tobytes()), name
+
+
+# --- pdf -------------------------------------------------------------------------------
+
+
+def pdf(method: Method, material: Material) -> dict[str, float]:
+    """The measure at a size for tests."""
+    return values(measured("pdf", method, material, conditions=16, resolution=32, samples=1024))

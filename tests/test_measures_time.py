@@ -1,4 +1,4 @@
-"""The timed measures, on methods and materials whose numbers are known beforehand."""
+"""The timed measures: equal time, throughput."""
 
 from __future__ import annotations
 
@@ -9,25 +9,18 @@ import numpy as np
 import pytest
 from torch import Tensor
 
-from harness.analysis.records.convergence import curve_of
 from harness.analysis.records.throughput import OWN_TIMES
 from harness.core import registry
 from harness.core.protocol.errors import BudgetExceeded
 from harness.core.protocol.method import DiskSample
 from harness.materials import registry as materials
 from harness.measures import registry as measures
-from tests.fakes import FakeMaterial
-from tests.known_methods import (
-    Glacial,
-    Sleepy,
-    TooLarge,
-    Uneven,
-    job,
-    measured,
-    values,
-)
+from harness.mitsuba_runtime import variant
+from tests.measure_subjects import Sleepy, Uneven, job, measured, values
 from tests.measuring import run
 from tests.planted import Correct, Plaster
+
+variant.use("cpu")
 
 # --- equal time ------------------------------------------------------------------------
 
@@ -67,6 +60,19 @@ def test_equal_time():
         assert (outcome.arrays["baseline_seconds"] == outcomes[1].arrays["seconds"]).all()
         assert outcome.arrays["mask"].shape == (12, 12)
         assert outcome.arrays["round_spp"] >= 2
+
+
+class Glacial(Uneven):
+    """0.15 s a row, and not to be asked for an image."""
+
+    name = "glacial"
+
+    def sample(self, condition: Tensor, u: Tensor) -> DiskSample:
+        """See :meth:`Method.sample`."""
+        if len(condition) > 1:
+            raise AssertionError("was asked for an image")
+        time.sleep(0.15)
+        return super().sample(condition, u)
 
 
 @pytest.mark.parametrize("name", ["equal-time", "convergence"])
@@ -118,52 +124,6 @@ def test_speed_up_of_no_variance(base, method, ratio):
     for value, low, high in compare(variances, seconds):
         assert value == ratio or (math.isnan(value) and math.isnan(ratio))
         assert math.isnan(low) and math.isnan(high)
-
-
-# --- convergence -----------------------------------------------------------------------
-
-
-def test_convergence():
-    """One over the number of samples, for one method and another beside it."""
-    given = {"levels": 6, "repeats": 6, "resolution": 16, "reference_spp": 4096}
-    jobs = [
-        job("convergence", m, Plaster(), baseline=i == 0, **given)
-        for i, m in enumerate((registry.make("cosine"), Correct()))
-    ]
-    for outcome in run("convergence", jobs):
-        found = values(outcome)
-        assert found["slope"] == pytest.approx(-1, abs=0.15)
-        assert outcome.arrays["errors"].shape == (6, 6)
-        arrays = curve_of(outcome.arrays)
-        assert arrays["spp"].tolist() == [1, 2, 4, 8, 16, 32]
-        assert arrays["seconds"].shape == (6,)
-        assert (arrays["mse_low"] <= arrays["mse"]).all()
-        assert (arrays["mse"] <= arrays["mse_high"]).all()
-        assert found["mse-last"] == arrays["mse"][-1]
-        ratio = arrays["mse"][0] / arrays["mse"][-1]
-        assert ratio == pytest.approx(32, rel=0.35)
-
-
-def test_convergence_of_a_biased_method_levels_off():
-    """At the square of its bias: the error of its last level is more than noise explains."""
-    given = {"levels": 8, "repeats": 2, "resolution": 16, "reference_spp": 2048}
-    biased, right = (
-        measured("convergence", m, Plaster(), **given) for m in (TooLarge(), Correct())
-    )
-    assert values(biased)["mse-last"] > 2 * values(right)["mse-last"]
-    assert values(biased)["slope"] > values(right)["slope"]
-
-
-def test_convergence_stops_in_time():
-    """A slow method ends at an earlier level, alone."""
-    given = {"levels": 5, "repeats": 1, "resolution": 8, "reference_spp": 64, "max_seconds": 0.1}
-    jobs = [
-        job("convergence", m, FakeMaterial("grey"), baseline=i == 0, **given)
-        for i, m in enumerate((Sleepy(0.5), Sleepy(0.5)))
-    ]
-    for outcome in run("convergence", jobs):
-        assert 1 <= len(outcome.arrays["spp"]) < 5
-        assert np.isfinite(curve_of(outcome.arrays)["mse"]).all()
 
 
 # --- throughput ------------------------------------------------------------------------

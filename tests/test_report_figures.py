@@ -1,0 +1,127 @@
+"""Figures: what is drawn, what is left out and why."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from harness.analysis.combine import Estimate
+from harness.analysis.quantities import nanoseconds_per_sample
+from harness.analysis.results import MethodColumn, Results
+from harness.report.figures.canvas import Canvas, grid_shape, styled
+from harness.report.figures.images import _worst_square
+from harness.report.figures.palette import looks
+from harness.report.figures.rendered import exposure, reference, srgb
+from harness.report.figures.tradeoff import Point, _front
+from harness.report.parts import part, parts
+from tests.report_reading import cell_of
+from tests.report_results import MATERIALS, METHODS, Made
+
+# --- figures -------------------------------------------------------------------------------------
+
+
+def test_front_keeps_what_nothing_beats():
+    def point(time: float, error: float) -> Point:
+        return Point(MethodColumn("m", "m"), Estimate(time), Estimate(error))
+
+    points = [point(1, 5), point(2, 6), point(3, 2), point(3, 1), point(9, 1)]
+    assert _front(points) == [points[0], points[3]]
+
+
+def test_looks_are_fixed_and_distinct(failing: Path, tmp_path: Path):
+    few = looks(Results.load(failing))
+    many = looks(
+        Results.load(Made(methods=[*METHODS, "mine", "theirs"], measures=("pdf",)).write(tmp_path))
+    )
+    assert all(many[label] == look for label, look in few.items() if label != "fan-baseline")
+    assert len({(x.colour, x.marker) for x in many.values()}) == len(many)
+    assert len({x.colour for x in many.values()}) == len(many)
+
+
+def test_image_helpers():
+    image = np.full((32, 32, 3), 0.25)
+    assert srgb(image, 4.0).max() == pytest.approx(1.0)
+    assert exposure(image) == pytest.approx(4.0)
+    noisy = image.copy()
+    noisy[20:26, 4:10] += 1.0
+    row, column = _worst_square([noisy, image], image, None)
+    assert row <= 20 and row + 8 >= 26 and column <= 4 and column + 8 >= 10
+    noisy[0:6, 20:26] += 0.5
+    elsewhere = np.zeros((32, 32), bool)
+    elsewhere[:12] = True
+    row, column = _worst_square([noisy, image], image, elsewhere)
+    assert row == 0 and column <= 20 and column + 8 >= 26
+
+
+def test_thumbnails_are_of_the_materials_that_were_rendered(tmp_path: Path):
+    """One sheet a scene; a biased method has no part in them."""
+    made = Made(materials=MATERIALS[:7], bias={("cosine", MATERIALS[0]): 1e-9})
+    results = Results.load(made.write(tmp_path))
+    (sheet,) = part("figures", "materials")(results, Canvas(tmp_path))
+    assert sheet.png.name == "materials-studio-sphere.png" and sheet.width == 6 * 165
+    at = (MATERIALS[0], "cosine", "studio-sphere")
+    before = reference(results, MATERIALS[0], "studio-sphere")
+    results.stored(results.trials("equal-spp", *at)[0]).images["mean"][:] = 1e6
+    np.testing.assert_array_equal(reference(results, MATERIALS[0], "studio-sphere"), before)
+
+
+def test_images_of_another_size_are_no_reference(tmp_path: Path):
+    """Equal samples at half the size: the figure is drawn, without the reference it would have."""
+    results = Results.load(Made(materials=MATERIALS[:1]).write(tmp_path))
+    for trial in results.trials("equal-spp"):
+        images = results.stored(trial).images
+        images["mean"] = images["mean"][::2, ::2]
+    assert reference(results, MATERIALS[0], "studio-sphere").shape == (16, 16, 3)
+    drawn = part("figures", "images")(results, Canvas(tmp_path))
+    assert [each.png.name for each in drawn][:1] == [f"images-studio-sphere-{MATERIALS[0]}.png"]
+
+
+def test_grids_are_full():
+    assert [grid_shape(n) for n in (1, 4, 5, 12, 13)] == [(1, 1), (1, 4), (2, 3), (3, 4), (4, 4)]
+
+
+def test_time_per_sample_carries_its_interval(failing: Path):
+    found = nanoseconds_per_sample(Results.load(failing), "suede", "cosine", "studio-sphere")
+    assert isinstance(found, str)
+    found = nanoseconds_per_sample(
+        Results.load(failing), "elephant-hide", "cosine", "studio-sphere"
+    )
+    assert found.low < found.value < found.high
+
+
+def test_figures_say_why_they_are_not_there(tmp_path: Path):
+    results = Results.load(Made(measures=("fit",)).write(tmp_path))
+    for name, figure in parts("figures").items():
+        assert "no trial" in figure.load()(results, Canvas(tmp_path)), name
+
+
+def test_convergence_below_the_noise_or_without_repeats(failing: Path, tmp_path: Path):
+    results = Results.load(failing)
+    hopeless, single = results.trials("convergence", MATERIALS[0])[:2]
+    results.arrays(hopeless)["mse"][:] = -1.0
+    for name in ("mse_low", "mse_high"):
+        results.arrays(single)[name][:] = math.nan
+    for trial in results.trials("convergence", MATERIALS[1]):
+        results.arrays(trial)["mse"][:] = -1.0
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        drawn = part("figures", "convergence")(results, Canvas(tmp_path))
+    assert drawn[0].png.is_file()
+
+
+def test_infinite_divergence_is_named_not_drawn(failing: Path, tmp_path: Path):
+    results = Results.load(failing)
+    frame = results.frame.copy()
+    rows = (frame["metric"] == "chi2") & (frame["method"] == "cosine")
+    frame.loc[rows, ["value", "ci_low", "ci_high"]] = math.inf
+    changed = Results(failing, frame, results.plan)
+    with styled():
+        drawn = part("figures", "tradeoff")(changed, Canvas(tmp_path))
+    assert drawn[0].png.stat().st_size > 10_000
+    assert cell_of(part("tables", "pdf")(changed), MATERIALS[0], "cosine", 1).parts[0] == "∞"
+    mean = cell_of(part("tables", "pdf")(changed), "geometric mean", "cosine", 1)
+    assert "not positive and finite" in mean.missing
