@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+from harness.analysis.renew import OUTDATED, outdated
 from harness.identity.digests import Digests, Part
 from harness.identity.ours import digests
-from harness.identity.tree import BESIDE
 from harness.identity.verdict import (
     ADAPTER,
     BASELINE,
@@ -45,7 +45,9 @@ def stale(results: ResultsFolder, trials: Mapping[str, Stored]) -> dict[str, str
         current = now[key] | ({BASELINE: adapters[base]} if base in adapters else {})
         before = {part: digest for part, digest in trial.parts.items() if part in current}
         verdict = judge(before, current, lambda *change: change in equal, details)
-        if trial.status == "ok" and not verdict.stands:
+        if verdict.stands and outdated(trial):
+            verdict = OUTDATED
+        if trial.status in ("ok", "nonfinite") and not verdict.stands:
             found[key] = verdict.sentence
     return found
 
@@ -53,8 +55,9 @@ def stale(results: ResultsFolder, trials: Mapping[str, Stored]) -> dict[str, str
 def _current(known: Digests, trial: Stored, units: dict[str, Mapping[str, str]]) -> dict[str, str]:
     """Digests of the trial's parts that are source code of the project."""
     parts = {name: Part(*map(tuple, about)) for name, about in trial.entries.items()}
-    if any(entry.startswith(BESIDE) for part in parts.values() for entry in part.entries):
-        return {}
+    tops = {entry.partition(":")[0].partition(".")[0] for p in parts.values() for entry in p.entries}
+    if not tops <= known.tree.roots.keys():
+        return {}  # a user's own code, of which only a run knows where it is
     apart = {TRAINING: (ADAPTER, "fit")} if TRAINING in trial.parts else None
     try:
         found = known.of(parts, apart)
