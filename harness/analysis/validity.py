@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+from harness.analysis.renew import OUTDATED, outdated
 from harness.identity.digests import Digests, Part
 from harness.identity.ours import digests
-from harness.identity.tree import BESIDE
 from harness.identity.verdict import (
     ADAPTER,
     BASELINE,
@@ -56,7 +56,9 @@ def stale(results: ResultsFolder, trials: Mapping[str, Stored]) -> dict[str, str
             return bool(equal.get((part, old, new), set()) & enough)
 
         verdict = judge(before, current, same, details)
-        if trial.status == "ok" and not verdict.stands:
+        if verdict.stands and outdated(trial):
+            verdict = OUTDATED
+        if trial.status in ("ok", "nonfinite") and not verdict.stands:
             found[key] = verdict.sentence
     return found
 
@@ -69,8 +71,11 @@ def _timed(trial: Stored) -> bool:
 def _current(known: Digests, trial: Stored, units: dict[str, Mapping[str, str]]) -> dict[str, str]:
     """Digests of the trial's parts that are source code of the project."""
     parts = {name: Part(*map(tuple, about)) for name, about in trial.entries.items()}
-    if any(entry.startswith(BESIDE) for part in parts.values() for entry in part.entries):
-        return {}
+    tops = {
+        entry.partition(":")[0].partition(".")[0] for p in parts.values() for entry in p.entries
+    }
+    if not tops <= known.tree.roots.keys():
+        return {}  # a user's own code, of which only a run knows where it is
     apart = {TRAINING: (ADAPTER, "fit")} if TRAINING in trial.parts else None
     try:
         found = known.of(parts, apart)

@@ -11,6 +11,7 @@ from rich.console import Console
 from rich.text import Text
 
 from harness.analysis.renew import renew
+from harness.core.protocol.errors import InputError
 from harness.measures.base import FAILED
 from harness.runner import executor as executors
 from harness.runner import only as only_option
@@ -22,7 +23,7 @@ from harness.runner.progress import Pace, Progress
 from harness.runner.todo import Todo, make_todo
 from harness.runner.validity import Validity
 from harness.runner.worker import Worker
-from harness.store import code
+from harness.store import code, files
 from harness.store.database import is_ours
 from harness.store.folder import ResultsFolder
 from harness.store.lock import locked
@@ -107,7 +108,10 @@ def _write_plan(plan: Plan, store: ResultsFolder) -> None:
     command = ["--profile", plan.profile] if plan.profile else []
     command += ["--device", plan.device]
     text = f"# As run, with {shlex.join(command)}\n{plan.text}"
-    (store.folder / "suite.yaml").write_text(text, encoding="utf-8")
+    try:
+        files.put(store.folder / "suite.yaml", text.encode())
+    except OSError as error:
+        raise InputError(f"{store.folder}: cannot be written: {error.strerror}") from error
     head = {
         "suite": plan.suite,
         "title": plan.title,

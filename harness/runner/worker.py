@@ -205,6 +205,8 @@ class Worker:
         )
         try:
             stored = write.save(self.results, about, outcome)
+        except InputError:
+            raise  # of the folder: it is full, or cannot be written
         except (TypeError, ValueError, RuntimeError) as error:
             outcome = Outcome(
                 "error",

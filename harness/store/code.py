@@ -16,18 +16,23 @@ if TYPE_CHECKING:
 
 def note_units(results: ResultsFolder, sources: Mapping[str, Mapping[str, str]]) -> None:
     """Remember what digests of source code are made of: hashes by function, by digest."""
-    with results.writing():
-        known = {key for (key,) in results.run("SELECT digest FROM units")}
-        for key in sources.keys() - known:
-            body = pack(json_bytes(sources[key]))
-            results.run("INSERT OR IGNORE INTO units VALUES (?, ?)", key, body)
+    with explained(results.folder):
+        fresh = sources.keys() - {key for (key,) in results.run("SELECT digest FROM units")}
+    if fresh:
+        with results.writing():
+            for key in fresh:
+                body = pack(json_bytes(sources[key]))
+                results.run("INSERT OR REPLACE INTO units VALUES (?, ?)", key, body)
 
 
 def units(results: ResultsFolder, digest: str) -> dict[str, str]:
     """Hashes by function of a digest of source code; empty if it is not known."""
     with explained(results.folder):
         row = results.run("SELECT body FROM units WHERE digest = ?", digest).fetchone()
-    return json.loads(unpack(row[0])) if row else {}
+    try:
+        return json.loads(unpack(row[0])) if row else {}
+    except ValueError:
+        return {}  # damaged; they only explain
 
 
 def note_equivalent(results: ResultsFolder, part: str, old: str, new: str, shared: str) -> None:
