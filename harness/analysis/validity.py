@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from harness.identity.digests import Digests, Part
+from harness.identity.modules import BESIDE
 from harness.identity.ours import digests
-from harness.identity.tree import BESIDE
 from harness.identity.verdict import (
     ADAPTER,
     BASELINE,
