@@ -72,22 +72,22 @@ class Computed:
         return Probe(self.arrays, self.work, regions, tried(units, self.coverage))
 
 
-def computed(tree: Tree, compute: Callable[[], Arrays]) -> Computed:
-    """Runs ``compute`` three times: first to compile and load whatever that takes, then for its
-    numbers and its work, and once more, slowly, to see what of ``tree`` runs."""
-    compute()
+def computed(
+    tree: Tree, compute: Callable[[], Arrays], repeated: Callable[[], Any] | None = None
+) -> Computed:
+    """The numbers of ``compute``, its work, and what of ``tree`` runs.
+
+    ``repeated`` is that of it whose time a trial may take, by default all. First all is run to
+    compile and load whatever that takes, and once more, slowly, to see what runs.
+    """
+    arrays = compute()
+    again = repeated or compute
+    again()
     with recorded() as work:
-        arrays = compute()
+        again()
     with covered(tree) as coverage:
         compute()
     return Computed(arrays, work.digest, coverage)
-
-
-def probed(
-    tree: Tree, units: Mapping[tuple[str, str], Unit], compute: Callable[[], Arrays]
-) -> Probe:
-    """The probe ``compute`` of code that reaches ``units`` of ``tree``."""
-    return computed(tree, compute).of(units)
 
 
 def difference(

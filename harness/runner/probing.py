@@ -9,7 +9,7 @@ done and not the timing, whose own code no probe speaks for.
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 from typing import Any
 
@@ -60,8 +60,17 @@ class Prober:
         """
         key = self._computation(trial, part)
         if key not in self._computed:
-            self._computed[key] = computed(self.known.tree, lambda: self.arrays(trial, part))
+            self._computed[key] = computed(
+                self.known.tree, lambda: self.arrays(trial, part), self._repeated(trial, part)
+            )
         return self._computed[key].of(self._units(part, parts))
+
+    def _repeated(self, trial: Trial, part: str) -> Callable[[], Any] | None:
+        """Without what is done once for all samples: a material is made before the clock starts."""
+        if part != MATERIAL:
+            return None
+        made = self.jobs.resolved.material(trial)
+        return lambda: small.of_material(made, trial.budget.device)
 
     @staticmethod
     def _computation(trial: Trial, part: str) -> tuple[Any, ...]:
