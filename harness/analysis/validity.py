@@ -6,7 +6,6 @@ from collections.abc import Mapping
 
 from harness.analysis.renew import OUTDATED, outdated
 from harness.identity.digests import Digests, Part
-from harness.identity.modules import BESIDE
 from harness.identity.ours import digests
 from harness.identity.verdict import (
     ADAPTER,

@@ -6,7 +6,7 @@ import gc
 import math
 import time
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from datetime import UTC, datetime
 from typing import Any
@@ -71,12 +71,9 @@ class Worker:
         if path is None:
             return False
         outcome, about = shipped.load(path)
-        if not shipped.still(about["parts"], self.validity.parts(trial)):
-            return False  # it was trained by other code
         self._number(trial, outcome)
-        self._save(
-            trial, outcome, about["started"], about["seconds"], about["environment"], path.name
-        )
+        when = about["started"], about["seconds"], about["environment"]
+        self._save(trial, outcome, *when, path.name, about["parts"])
         return True
 
     # --- one call of a measure -----------------------------------------------------------------
@@ -186,6 +183,7 @@ class Worker:
         seconds: float,
         environment: dict[str, Any] | None = None,
         origin: str = "",
+        parts: Mapping[str, str] | None = None,
     ) -> None:
         about = Stored(
             hash=trial.hash,
@@ -199,7 +197,7 @@ class Worker:
             fit=trial.fit,
             shipped=origin,
             effects=self.jobs.choices.get(trial.hash, {}),
-            parts=self.validity.parts(trial),
+            parts=self.validity.parts(trial) | dict(parts or {}),
             entries=self.validity.entries(trial),
             analysis=self.validity.analysis(trial.measure),
         )
