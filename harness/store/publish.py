@@ -1,13 +1,14 @@
 """``python -m harness.store.publish FROM TO``: a compact copy of results, to be kept with the code.
 
-Planned trials with their records, raw arrays and images; not the states of fitted methods, which
-are large and can be fitted again, nor trials of earlier plans.
+Planned trials with their records and raw arrays, and the images of some materials; not the states
+of fitted methods, which are large and can be fitted again, nor trials of earlier plans.
 """
 
 from __future__ import annotations
 
 import argparse
 import shutil
+from collections.abc import Collection
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,8 +18,10 @@ from harness.store.lock import locked
 from harness.store.stored import STATE
 
 
-def publish(source: Path, target: Path) -> int:
+def publish(source: Path, target: Path, pictured: Collection[str] = ()) -> int:
     """Copy the planned trials of ``source`` to ``target``; how many there are.
+
+    Images are those of the ``pictured`` materials.
 
     What ``target`` held is replaced once the copy is whole.
 
@@ -34,7 +37,8 @@ def publish(source: Path, target: Path) -> int:
             t for k in dict.fromkeys(r["trial"] for r in plan["trials"]) if (t := trials.get(k))
         ]
         for trial in wanted:
-            kept = {name: digest for name, digest in trial.files.items() if name != STATE}
+            shown = trial.labels["material"] in pictured
+            kept = {n: d for n, d in trial.files.items() if shown and n != STATE}
             for name, digest in kept.items():
                 place = files.place(fresh, name, digest)
                 place.parent.mkdir(exist_ok=True)
@@ -62,8 +66,10 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("source", type=Path, help="a folder that harness run wrote")
     parser.add_argument("target", type=Path, help="where the copy goes")
+    parser.add_argument("--pictures", default="", help="materials whose images go along: A,B")
     arguments = parser.parse_args()
-    count = publish(arguments.source, arguments.target)
+    pictured = [name for name in arguments.pictures.split(",") if name]
+    count = publish(arguments.source, arguments.target, pictured)
     total = sum(p.stat().st_size for p in arguments.target.rglob("*") if p.is_file())
     print(f"{arguments.target}: {count} trials, {total / 1e6:.2f} MB")
 
