@@ -192,6 +192,11 @@ def _scene(spec: Any) -> SimpleNamespace:
     return SimpleNamespace(name=_name(spec), effects=("environment",))
 
 
+def _material_entries(spec: Any) -> list[str]:
+    digests().tree.roots["tests"] = Path(__file__).parent
+    return ["tests.fakes:FakeMaterial"]
+
+
 def install(setattr_: Any = setattr) -> None:
     """Replace the registries of materials and scenes, and add two measures."""
     for registry in (materials, scenes):
@@ -199,8 +204,7 @@ def install(setattr_: Any = setattr) -> None:
     setattr_(materials, "make", lambda spec: FakeMaterial(_name(spec)))
     setattr_(scenes, "identity_of", lambda spec, scene, base=None: _identity(spec))
     setattr_(scenes, "make", _scene)
-    digests().tree.roots["tests"] = Path(__file__).parent
-    setattr_(source_parts, "_material", lambda spec: ["tests.fakes:FakeMaterial"])
+    setattr_(source_parts, "_material", _material_entries)
     setattr_(source_parts, "scene", lambda *about: Part(("tests.fakes:_scene",)))
     setattr_(measures, "_EXTRA", {measure.name: measure for measure in (Probe, Clock)})
     Probe.calls.clear()

@@ -63,11 +63,14 @@ def scene_part(name: str) -> Part:
 
 
 def copy_of_tree(folder: Path) -> Path:
-    """The source text of the project, copied into ``folder``."""
+    """The source text of the project, copied into ``folder``, and these helpers; data by links."""
+    data = ("*.safetensors", "*.ckpt")
     for top in ("harness", "methods"):
-        shutil.copytree(
-            ROOT / top,
-            folder / top,
-            ignore=shutil.ignore_patterns("__pycache__", "*.safetensors", "*.ckpt"),
-        )
+        ignored = shutil.ignore_patterns("__pycache__", *data)
+        shutil.copytree(ROOT / top, folder / top, ignore=ignored)
+        for file in (file for pattern in data for file in (ROOT / top).rglob(pattern)):
+            (folder / file.relative_to(ROOT)).symlink_to(file)
+    (folder / "tests").mkdir()
+    for name in ("__init__", "identity_trials", "identity_probes"):
+        shutil.copy(ROOT / "tests" / f"{name}.py", folder / "tests")
     return folder

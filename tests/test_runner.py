@@ -65,7 +65,7 @@ def whole(folder: Path) -> dict[str, Stored]:
 def forget(folder: Path, key: str) -> None:
     """Take a trial out of the store."""
     with ResultsFolder(folder / "out", write=True) as store:
-        store.set_aside(key, "for a test")
+        store.set_aside({key: "for a test"})
 
 
 def adapters(*names: str) -> list[str]:

@@ -1,8 +1,7 @@
-"""The store: whole folders or none, every planned trial a row."""
+"""The store: a trial whole or not at all, every planned trial a row, nothing read unchecked."""
 
 from __future__ import annotations
 
-import json
 import math
 from pathlib import Path
 from typing import Any
@@ -10,129 +9,180 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as arrays_of
 
 from harness import load_results
 from harness.core.protocol.errors import InputError
 from harness.core.record import Record
 from harness.measures.base import Outcome
-from harness.store import trials as store
+from harness.store import write
+from harness.store.folder import ResultsFolder
+from harness.store.lock import locked
+from harness.store.packing import array_bytes, array_of
+from harness.store.stored import COLUMNS, Stored
 
 HASH, OTHER, THIRD = "0123456789abcdef", "fedcba9876543210", "00000000000000aa"
-LABELS = {"suite": "s", "material": "m", "method": "a", "scene": "", "measure": "pdf", "seed": 0}
+LABELS = {"suite": "s", "material": "m", "method": "a", "scene": "", "measure": "own", "seed": 0}
 
 
-def described(name: str = HASH, **labels: Any) -> dict[str, Any]:
-    return {
-        "trial": name,
-        "labels": LABELS | labels,
-        "identity": {"method": {"name": "a"}},
-        "environment": {},
-        "started": "2024-01-01T00:00:00+00:00",
-        "seconds": 1.5,
-    }
+def described(name: str = HASH, outcome: Outcome | None = None, **labels: Any) -> Stored:
+    status, reason = (outcome.status, outcome.reason) if outcome else ("ok", "")
+    return Stored(
+        name, {"method": {"name": "a"}}, LABELS | labels, status, reason,
+        started="2024-01-01T00:00:00+00:00", seconds=1.5,
+    )  # fmt: skip
+
+
+def save(folder: Path, outcome: Outcome, name: str = HASH, **labels: Any) -> Stored:
+    with ResultsFolder(folder, write=True) as store:
+        return write.save(store, described(name, outcome, **labels), outcome)
+
+
+def trial(folder: Path, name: str = HASH) -> Stored:
+    with ResultsFolder(folder) as store:
+        return store.trial(name)
 
 
 def plan(folder: Path, *hashes: str) -> None:
     rows = [{"trial": h, **LABELS, "fit": "", "identity": {}} for h in hashes]
-    store.write_plan(folder, {"suite": "s"}, rows)
+    with ResultsFolder(folder, write=True) as store:
+        store.write_plan({"suite": "s"}, rows)
 
 
 def test_everything_comes_back(tmp_path: Path):
     outcome = Outcome(
         records=[Record("kl", 0.5, 0.4, 0.6, "nats"), Record("n", 3.0)],
-        arrays={"x": np.arange(6.0).reshape(2, 3)},
+        arrays={"x": np.arange(6.0).reshape(2, 3).T, "scalar": np.array(3)},
         images={"mean": np.linspace(0, 4, 48).reshape(4, 4, 3)},
         tensors={"w": torch.arange(4).view(2, 2).T, "scalar": torch.tensor(2.0)},
+        documents={"note": {"why": ["a", 1, math.inf]}},
     )
-    folder = store.save_trial(tmp_path, described(), outcome)
-    assert {p.name for p in folder.iterdir()} == {
-        "trial.json", "arrays.npz", "images", "state.safetensors"
-    }  # fmt: skip
-    found = store.load_trial(tmp_path, HASH)
-    assert found.status == "ok"
+    save(tmp_path, outcome)
+    assert {p.name for p in tmp_path.iterdir()} == {"results.sqlite", "files"}
+    assert sorted(p.suffix for p in (tmp_path / "files").iterdir()) == [".exr", ".safetensors"]
+    found = trial(tmp_path)
+    assert (found.status, found.seconds, found.labels) == ("ok", 1.5, LABELS)
     assert found.records[0] == {
         "metric": "kl", "value": 0.5, "ci_low": 0.4, "ci_high": 0.6, "unit": "nats"
     }  # fmt: skip
     assert math.isnan(found.records[1]["ci_low"])
     np.testing.assert_array_equal(found.arrays["x"], outcome.arrays["x"])
+    assert float(found.arrays["scalar"]) == 3, "a scalar has no dimension"
     np.testing.assert_allclose(found.images["mean"], outcome.images["mean"], rtol=1e-3)
+    assert found.documents == {"note": {"why": ["a", 1, "inf"]}}
     state = found.tensors()
     torch.testing.assert_close(state["w"], outcome.tensors["w"])
     assert state["scalar"].shape == ()
 
 
+KINDS = st.sampled_from(["f4", "f8", "i4", "i8", "u1", "?", ">f8", "U3"])
+
+
+@settings(max_examples=60, deadline=None)
+@given(KINDS.flatmap(lambda k: arrays_of.arrays(k, arrays_of.array_shapes(min_dims=0, max_dims=3))))
+def test_an_array_comes_back_with_kind_and_shape(array: np.ndarray):
+    found = array_of(array_bytes(array))
+    assert (found.shape, found.dtype.kind) == (array.shape, array.dtype.kind)
+    np.testing.assert_array_equal(found, array)
+    assert array_bytes(np.asarray(array, order="F")) == array_bytes(array), (
+        "one content, one digest"
+    )
+
+
+def test_what_cannot_be_stored_is_refused_and_leaves_the_old(tmp_path: Path):
+    save(tmp_path, Outcome(records=[Record("kl", 1.0)]))
+    for bad in (
+        Outcome(arrays={"x": np.array([object()])}),
+        Outcome(documents={"x": object()}),
+        Outcome(images={"a/b": np.zeros((2, 2, 3))}),
+    ):
+        with pytest.raises((TypeError, ValueError)):
+            save(tmp_path, bad)
+    assert trial(tmp_path).records[0]["value"] == 1.0
+
+
 def test_an_empty_state_is_a_state(tmp_path: Path):
-    store.save_trial(tmp_path, described(), Outcome(tensors={}))
-    assert store.load_trial(tmp_path, HASH).has_state
-    store.save_trial(tmp_path, described(OTHER), Outcome())
-    assert not store.load_trial(tmp_path, OTHER).has_state
+    save(tmp_path, Outcome(tensors={}))
+    assert trial(tmp_path).has_state
+    save(tmp_path, Outcome(), OTHER)
+    assert not trial(tmp_path, OTHER).has_state
+    with pytest.raises(InputError, match="holds no state"):
+        trial(tmp_path, OTHER).tensors()
 
 
-def test_infinities_are_valid_json(tmp_path: Path):
-    outcome = Outcome(records=[Record("kl", math.inf, -math.inf, math.nan)])
-    folder = store.save_trial(tmp_path, described(), outcome)
-    json.loads((folder / "trial.json").read_text(), parse_constant=pytest.fail)
-    record = store.load_trial(tmp_path, HASH).records[0]
+def test_infinities_come_back(tmp_path: Path):
+    save(tmp_path, Outcome(records=[Record("kl", math.inf, -math.inf, math.nan)]))
+    record = trial(tmp_path).records[0]
     assert (record["value"], record["ci_low"]) == (math.inf, -math.inf)
     assert math.isnan(record["ci_high"])
 
 
-def test_a_new_outcome_replaces_the_old_folder(tmp_path: Path):
-    store.save_trial(tmp_path, described(), Outcome("error", "broke", arrays={"x": np.ones(1)}))
-    store.save_trial(tmp_path, described(), Outcome(records=[Record("kl", 1.0)]))
-    found = store.load_trial(tmp_path, HASH)
-    assert (found.status, found.arrays) == ("ok", {})
-    assert [p.name for p in tmp_path.iterdir()] == [HASH]
+def test_a_new_outcome_replaces_the_old_one_whole(tmp_path: Path):
+    broke = Outcome("error", "broke", {"x": np.ones(1)}, {"i": np.ones((2, 2, 3))}, traceback="T")
+    save(tmp_path, broke)
+    assert trial(tmp_path).traceback == "T"
+    save(tmp_path, Outcome(records=[Record("kl", 1.0)]))
+    found = trial(tmp_path)
+    assert (found.status, found.reason, found.traceback) == ("ok", "", "")
+    assert (found.arrays, found.files) == ({}, {})
+    with ResultsFolder(tmp_path, write=True) as store:
+        store.tidy()
+        assert store.keys() == {HASH}
+    assert list((tmp_path / "files").iterdir()) == []
 
 
-def test_scratch_files_stay(tmp_path: Path):
-    (store.scratch(tmp_path, HASH) / "note.txt").write_text("x")
-    assert store.stored(tmp_path) == []
-    folder = store.save_trial(tmp_path, described(), Outcome())
-    assert (folder / "note.txt").read_text() == "x"
+def test_equal_content_is_kept_once(tmp_path: Path):
+    for name in (HASH, OTHER, THIRD):
+        save(tmp_path, Outcome(arrays={"x": np.ones(9)}, images={"i": np.ones((2, 2, 3))}), name)
+    assert len(list((tmp_path / "files").iterdir())) == 1
+    with ResultsFolder(tmp_path, write=True) as store:
+        (count,) = store._connection.execute("SELECT count(*) FROM blob").fetchone()
+        assert count == 1
+        store.set_aside({HASH: "for a test"})
+        store.tidy()
+    assert trial(tmp_path, OTHER).images.keys() == {"i"}
 
 
-def test_clean_up_after_a_kill(tmp_path: Path):
-    (tmp_path / f".tmp-{HASH}-1").mkdir()
-    (tmp_path / f".tmp-{HASH}-1" / "arrays.npz").write_text("half")
-    # Killed between stepping aside and stepping in: the old result must come back.
-    store.save_trial(tmp_path, described(OTHER), Outcome())
-    (tmp_path / OTHER).rename(tmp_path / f".old-{OTHER}-1")
-    # Killed before the old one was removed: the new one stays.
-    store.save_trial(tmp_path, described(THIRD), Outcome(reason="new"))
-    (tmp_path / f".old-{THIRD}-1").mkdir()
-    (tmp_path / ".plan.json-1").write_text("{")
-    store.clean(tmp_path)
-    assert sorted(p.name for p in tmp_path.iterdir()) == [THIRD, OTHER]
-    assert store.load_trial(tmp_path, THIRD).reason == "new"
+def test_what_a_killed_run_left_is_swept_and_nothing_else(tmp_path: Path):
+    save(tmp_path, Outcome(images={"i": np.ones((2, 2, 3))}))
+    (kept,) = (tmp_path / "files").iterdir()
+    left = [tmp_path / "files" / name for name in (".tmp-1.exr", f"{'0' * 32}.exr")]
+    mine = tmp_path / "files" / "note.txt"
+    for path in (*left, mine):
+        path.write_text("x")
+    with ResultsFolder(tmp_path, write=True) as store:
+        store.tidy()
+    assert set((tmp_path / "files").iterdir()) == {kept, mine}
 
 
 def test_every_planned_trial_is_a_row(tmp_path: Path):
     plan(tmp_path, HASH, OTHER, THIRD)
-    store.save_trial(tmp_path, described(), Outcome(records=[Record("a", 1.0), Record("b", 2.0)]))
-    store.save_trial(tmp_path, described(OTHER), Outcome("error", "broke"))
+    save(tmp_path, Outcome(records=[Record("a", 1.0), Record("b", 2.0)]))
+    save(tmp_path, Outcome("error", "broke"), OTHER)
     frame = load_results(tmp_path)
-    assert list(frame.columns) == store.COLUMNS
+    assert list(frame.columns) == COLUMNS
     assert list(frame["status"]) == ["ok", "ok", "error", "skipped"]
     assert list(frame["reason"]) == ["", "", "broke", "not run yet"]
     assert list(frame["metric"]) == ["a", "b", "", ""]
     assert frame["value"].dtype == float
     assert frame["value"].isna().tolist() == [False, False, True, True]
-    assert store.load_trial(tmp_path, THIRD).status == "skipped"
+    assert trial(tmp_path, THIRD).status == "skipped"
 
 
 def test_only_the_bad_rows_of_a_nonfinite_trial_say_so(tmp_path: Path):
     plan(tmp_path, HASH)
     records = [Record("kl", math.nan), Record("chi2", math.inf), Record("mse", 0.5)]
-    store.save_trial(tmp_path, described(), Outcome("nonfinite", "kl is nan", records))
+    save(tmp_path, Outcome("nonfinite", "kl is nan", records=records))
     frame = load_results(tmp_path)
     assert list(frame["status"]) == ["nonfinite", "ok", "ok"]
     assert list(frame["reason"]) == ["kl is nan", "", ""]
 
 
-def test_stale_trials_are_left_out_unless_asked_for(tmp_path: Path):
+def test_trials_of_earlier_plans_are_left_out_unless_asked_for(tmp_path: Path):
     plan(tmp_path, HASH)
-    store.save_trial(tmp_path, described(OTHER, method="old"), Outcome(records=[Record("a", 1.0)]))
+    save(tmp_path, Outcome(records=[Record("a", 1.0)]), OTHER, method="old")
     assert list(load_results(tmp_path)["trial"]) == [HASH]
     frame = load_results(tmp_path, all=True)
     assert list(frame["trial"]) == [HASH, OTHER]
@@ -142,30 +192,39 @@ def test_stale_trials_are_left_out_unless_asked_for(tmp_path: Path):
 def test_labels_of_the_plan_win(tmp_path: Path):
     # Two suites, or two labels, may share one trial.
     plan(tmp_path, HASH)
-    store.save_trial(tmp_path, described(method="former label"), Outcome())
+    save(tmp_path, Outcome(), method="former label")
     assert list(load_results(tmp_path)["method"]) == ["a"]
 
 
+def test_many_keys_and_few_are_the_same_trials(tmp_path: Path):
+    names = [f"{i:016x}" for i in range(600)]
+    with ResultsFolder(tmp_path, write=True) as store:
+        for name in names[:5]:
+            write.save(store, described(name), Outcome(arrays={"x": np.ones(2)}))
+        assert store.trials(names).keys() == store.trials(names[:5]).keys() == set(names[:5])
+        assert store.trials([]) == {}
+
+
 def test_refusals(tmp_path: Path):
-    with pytest.raises(InputError, match="holds no results"):
+    with pytest.raises(InputError, match="holds no results .there is no results.sqlite"):
         load_results(tmp_path)
-    with pytest.raises(InputError, match="holds no results"):
-        store.load_trial(tmp_path, HASH)
+    save(tmp_path, Outcome())
+    with pytest.raises(InputError, match="holds no plan yet; run the suite first"):
+        load_results(tmp_path)
     plan(tmp_path, HASH)
     with pytest.raises(InputError, match="no trial 'x'"):
-        store.load_trial(tmp_path, "x")
-    (tmp_path / HASH).mkdir()
-    (tmp_path / HASH / "trial.json").write_text("{")
-    with pytest.raises(InputError, match="trial.json: cannot be read"):
-        load_results(tmp_path)
-    (tmp_path / HASH / "trial.json").write_text('{"trial": "x"}')
-    with pytest.raises(InputError, match="not a stored trial: KeyError 'identity'"):
-        load_results(tmp_path)
+        trial(tmp_path, "x")
 
 
-def test_one_writer_at_a_time(tmp_path: Path):
-    refused = pytest.raises(InputError, match="another run")
-    with store.locked(tmp_path), refused, store.locked(tmp_path):
+def test_one_run_at_a_time(tmp_path: Path):
+    refused = pytest.raises(InputError, match="another run is writing there")
+    with locked(tmp_path), refused, locked(tmp_path):
         pass
-    with store.locked(tmp_path):
+    with locked(tmp_path):
         pass
+
+
+def test_a_reader_writes_nothing(tmp_path: Path):
+    save(tmp_path, Outcome())
+    with ResultsFolder(tmp_path) as store, pytest.raises(InputError, match="read-only"):
+        store.write_plan({}, [])

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+from harness.analysis.renew import OUTDATED, outdated
 from harness.identity.digests import Digests, Part
 from harness.identity.ours import digests
-from harness.identity.tree import BESIDE
 from harness.identity.verdict import (
     ADAPTER,
     BASELINE,
@@ -16,6 +16,7 @@ from harness.identity.verdict import (
     judge,
     short,
 )
+from harness.store import code
 from harness.store.folder import ResultsFolder
 from harness.store.stored import Stored
 
@@ -26,12 +27,15 @@ def stale(results: ResultsFolder, trials: Mapping[str, Stored]) -> dict[str, str
     A change that a run found to move no number (``equivalent``) does not count. A user's own
     adapter or measure, which is not part of the project, is compared by a run alone.
     """
-    known, equal = digests(), results.equivalents()
+    known = digests()
+    equal: dict[tuple[str, str, str], set[str]] = {}
+    for part, old, new, shared in code.equivalents(results):
+        equal.setdefault((part, old, new), set()).add(shared)
     units: dict[str, Mapping[str, str]] = {}
     now = {key: _current(known, trial, units) for key, trial in trials.items()}
 
     def details(part: str, old: str, new: str) -> list[str]:
-        before, after = results.units(old), units.get(new)
+        before, after = code.units(results, old), units.get(new)
         return changed_units(before, short(after)) if before and after else []
 
     adapters = {
@@ -44,17 +48,34 @@ def stale(results: ResultsFolder, trials: Mapping[str, Stored]) -> dict[str, str
         base = trial.parts.get(BASELINE, "")
         current = now[key] | ({BASELINE: adapters[base]} if base in adapters else {})
         before = {part: digest for part, digest in trial.parts.items() if part in current}
-        verdict = judge(before, current, lambda *change: change in equal, details)
-        if trial.status == "ok" and not verdict.stands:
+        # A time stands only where the work that is timed is the same too.
+        enough = {"work"} if _timed(trial) else {"work", "numbers"}
+
+        def same(part: str, old: str, new: str, enough: set[str] = enough) -> bool:
+            part = ADAPTER if part == BASELINE else part
+            return bool(equal.get((part, old, new), set()) & enough)
+
+        verdict = judge(before, current, same, details)
+        if verdict.stands and outdated(trial):
+            verdict = OUTDATED
+        if trial.status in ("ok", "nonfinite") and not verdict.stands:
             found[key] = verdict.sentence
     return found
+
+
+def _timed(trial: Stored) -> bool:
+    """Whether the numbers are times of a machine."""
+    return "machine" in trial.trial and trial.labels.get("measure") != "fit"
 
 
 def _current(known: Digests, trial: Stored, units: dict[str, Mapping[str, str]]) -> dict[str, str]:
     """Digests of the trial's parts that are source code of the project."""
     parts = {name: Part(*map(tuple, about)) for name, about in trial.entries.items()}
-    if any(entry.startswith(BESIDE) for part in parts.values() for entry in part.entries):
-        return {}
+    tops = {
+        entry.partition(":")[0].partition(".")[0] for p in parts.values() for entry in p.entries
+    }
+    if not tops <= known.tree.roots.keys():
+        return {}  # a user's own code, of which only a run knows where it is
     apart = {TRAINING: (ADAPTER, "fit")} if TRAINING in trial.parts else None
     try:
         found = known.of(parts, apart)

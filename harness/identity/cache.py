@@ -15,7 +15,7 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-from harness.identity import normal_form, scopes, units
+from harness.identity import nodes, normal_form, piece, scopes, units
 
 _MOST = 4000
 """Files that are remembered; a cache with more is begun anew."""
@@ -74,7 +74,7 @@ class Cache:
 def _version() -> str:
     """Of the normal form and of Python's syntax tree."""
     text = f"{sys.version_info[:2]}"
-    for module in (normal_form, scopes, units):
+    for module in (nodes, normal_form, piece, scopes, units):
         with contextlib.suppress(OSError):
             text += Path(module.__file__ or "").read_text(encoding="utf-8")
     return hashlib.sha256(text.encode()).hexdigest()[:12]

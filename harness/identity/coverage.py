@@ -17,8 +17,9 @@ from types import CodeType, FrameType
 from typing import Any
 
 from harness.identity.executed import Places
+from harness.identity.modules import Module
 from harness.identity.regions import SIGNATURE, Region, regions_of, watched
-from harness.identity.tree import Module, Tree
+from harness.identity.tree import Tree
 
 Coverage = dict[str, "Ran"]
 """By unit (``module:unit``): what ran of it. Functions that were never entered are not there."""

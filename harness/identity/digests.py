@@ -7,8 +7,9 @@ from collections import Counter
 from collections.abc import Callable, Hashable, Mapping
 from dataclasses import dataclass, field
 
+from harness.identity.modules import BESIDE
 from harness.identity.reach import Key, Reached, reach
-from harness.identity.tree import BESIDE, Tree, Unit
+from harness.identity.tree import Tree, Unit
 from harness.identity.units import STATEMENT
 
 LENGTH = 16

@@ -11,7 +11,8 @@ from pathlib import Path
 from types import CodeType, FrameType
 from typing import Any
 
-from harness.identity.tree import Module, Tree
+from harness.identity.modules import Module
+from harness.identity.tree import Tree
 
 
 class Places:

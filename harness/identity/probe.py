@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from harness.identity.coverage import covered
+from harness.identity.coverage import Coverage, covered
 from harness.identity.small import Arrays, agree
 from harness.identity.tree import Tree, Unit
 from harness.identity.tried import tried
@@ -57,22 +57,37 @@ class Probe:
         return cls(rest, notes["work"], regions, frozenset(notes["tried"]))
 
 
-def probed(
-    tree: Tree, units: Mapping[tuple[str, str], Unit], compute: Callable[[], Arrays]
-) -> Probe:
-    """The probe ``compute`` of code that reaches ``units`` of ``tree``.
+@dataclass(frozen=True)
+class Computed:
+    """A small computation: its numbers, a digest of its work, and what of the code ran."""
 
-    It is run three times: first to compile and load whatever that takes, then for its numbers and
-    its work, and once more, slowly, to see what runs.
+    arrays: Arrays
+    work: str
+    coverage: Coverage
+
+    def of(self, units: Mapping[tuple[str, str], Unit]) -> Probe:
+        """What it says of code that reaches ``units``."""
+        inside = {str(unit) for unit in units.values()}
+        regions = {u: (ran.run, ran.missed) for u, ran in self.coverage.items() if u in inside}
+        return Probe(self.arrays, self.work, regions, tried(units, self.coverage))
+
+
+def computed(
+    tree: Tree, compute: Callable[[], Arrays], repeated: Callable[[], Any] | None = None
+) -> Computed:
+    """The numbers of ``compute``, its work, and what of ``tree`` runs.
+
+    ``repeated`` is that of it whose time a trial may take, by default all. First all is run to
+    compile and load whatever that takes, and once more, slowly, to see what runs.
     """
-    compute()
+    arrays = compute()
+    again = repeated or compute
+    again()
     with recorded() as work:
-        arrays = compute()
+        again()
     with covered(tree) as coverage:
         compute()
-    inside = {str(unit) for unit in units.values()}
-    regions = {u: (ran.run, ran.missed) for u, ran in coverage.items() if u in inside}
-    return Probe(arrays, work.digest, regions, tried(units, coverage))
+    return Computed(arrays, work.digest, coverage)
 
 
 def difference(

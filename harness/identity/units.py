@@ -12,7 +12,8 @@ from collections.abc import Iterator
 from typing import Any
 
 from harness.identity import scopes
-from harness.identity.normal_form import File, Piece, Writer
+from harness.identity.normal_form import Writer
+from harness.identity.piece import File, Piece
 from harness.identity.scopes import children
 
 FUNCTION, CLASS, VALUE, STATEMENT = "function", "class", "value", "statement"
@@ -153,7 +154,6 @@ class _Splitter:
             unit = f"<{index}>"
             piece = Writer(self.file).statements([node])
             self._add(unit, STATEMENT, piece, [node], effect=True)
-            self.units[unit]["calls"] = _called(node, self.file)
             for name in _bound(node):
                 self.unit_of.setdefault(name, unit)
 
@@ -274,14 +274,3 @@ def _assigned(node: ast.stmt) -> list[str]:
                 return []
             names.append(item.id)
     return names
-
-
-def _called(node: ast.stmt, file: File) -> str:
-    """Reference to what a statement that is one call calls, ``""`` for any other."""
-    if not (isinstance(node, ast.Expr) and isinstance(node.value, ast.Call)):
-        return ""
-    head, _, rest = _named(node.value.func).partition(".")
-    if head not in file.bindings:
-        return ""
-    reference = file.bindings[head] or f":{head}"
-    return f"{reference}.{rest}".replace(":.", ":") if rest else reference

@@ -6,6 +6,7 @@ run on the same sizes, and the same tensor operations in the same order.
 
 from __future__ import annotations
 
+import gc
 import hashlib
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -15,12 +16,12 @@ from typing import Any
 
 @dataclass
 class Work:
-    """``kernels`` as (kind, size, operations) and ``operations`` as (name, shapes), in order.
+    """``kernels`` as (size, operations, inputs) and ``operations`` as (name, shapes), in order.
 
     The hash of a kernel is left out: it differs between two scenes that are built alike.
     """
 
-    kernels: list[tuple[str, int, int]] = field(default_factory=list)
+    kernels: list[tuple[int, int, int]] = field(default_factory=list)
     operations: list[tuple[str, str]] = field(default_factory=list)
 
     @property
@@ -37,6 +38,8 @@ def recorded() -> Iterator[Work]:
     from torch.utils._python_dispatch import TorchDispatchMode
 
     work = Work()
+    gc.collect()  # what is freed meanwhile would be evaluated first
+    dr.sync_thread()
 
     class Watch(TorchDispatchMode):
         def __torch_dispatch__(
@@ -54,8 +57,9 @@ def recorded() -> Iterator[Work]:
             yield work
         dr.sync_thread()
         work.kernels += [
-            (str(entry["type"]), int(entry["size"]), int(entry.get("operation_count", 0)))
+            (int(entry["size"]), int(entry["operation_count"]), int(entry["input_count"]))
             for entry in dr.kernel_history()
+            if entry["type"] == dr.KernelType.JIT
         ]
     finally:
         dr.kernel_history_clear()

@@ -8,11 +8,14 @@ from typing import Any
 import numpy as np
 
 
-def write(path: Path, image: np.ndarray) -> None:
-    """Store ``image`` [H, W, 3] (or [H, W]), linear, as 16-bit floats."""
+def encoded(image: np.ndarray) -> bytes:
+    """The file of ``image`` [H, W, 3] (or [H, W]), linear, as 16-bit floats."""
     core = _core()
     data = np.ascontiguousarray(image, dtype=np.float32)
-    core.Bitmap(data).convert(component_format=core.Struct.Type.Float16).write(str(path))
+    stream = core.MemoryStream()
+    half = core.Bitmap(data).convert(component_format=core.Struct.Type.Float16)
+    half.write(stream, core.Bitmap.FileFormat.OpenEXR)
+    return stream.raw_buffer()
 
 
 def read(path: Path) -> np.ndarray:

@@ -9,7 +9,7 @@ done and not the timing, whose own code no probe speaks for.
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 from typing import Any
 
@@ -21,7 +21,7 @@ from harness.core.protocol.method import Budget, Method
 from harness.effects.registry import is_auto
 from harness.identity import small
 from harness.identity.digests import Digests, Part
-from harness.identity.probe import Probe, probed
+from harness.identity.probe import Computed, Probe, computed
 from harness.identity.small import Arrays
 from harness.identity.tree import Unit
 from harness.identity.verdict import ADAPTER, BASELINE, MATERIAL, MEASURE, SCENE, TRAINING
@@ -50,6 +50,7 @@ class Prober:
 
     def __init__(self, jobs: Jobs, known: Digests):
         self.jobs, self.known = jobs, known
+        self._computed: dict[tuple[Any, ...], Computed] = {}
 
     def probe(self, trial: Trial, part: str, parts: dict[str, Part]) -> Probe:
         """Of the ``part`` of ``trial``, whose code begins at ``parts``; takes a second or so.
@@ -57,7 +58,31 @@ class Prober:
         Raises:
             Exception: whatever the code raises. Without a probe nothing is known.
         """
-        return probed(self.known.tree, self._units(part, parts), lambda: self.arrays(trial, part))
+        key = self._computation(trial, part)
+        if key not in self._computed:
+            self._computed[key] = computed(
+                self.known.tree, lambda: self.arrays(trial, part), self._repeated(trial, part)
+            )
+        return self._computed[key].of(self._units(part, parts))
+
+    def _repeated(self, trial: Trial, part: str) -> Callable[[], Any] | None:
+        """Without what is done once for all samples: a material is made before the clock starts."""
+        if part != MATERIAL:
+            return None
+        made = self.jobs.resolved.material(trial)
+        return lambda: small.of_material(made, trial.budget.device)
+
+    @staticmethod
+    def _computation(trial: Trial, part: str) -> tuple[Any, ...]:
+        """What :meth:`arrays` depends on: parts that share it are computed once."""
+        material = repr(trial.material_spec)
+        method = (trial.method_name, repr(trial.params), repr(trial.budget), trial.fit)
+        if part == MATERIAL:
+            return part, material
+        if part in (MEASURE, SCENE) and trial.measure != FIT:
+            settings = repr(tiny(trial.measure, trial.settings))
+            return MEASURE, trial.measure, settings, trial.seed, material, repr(trial.scene_spec)
+        return trial.measure == FIT and part == MEASURE, *method, material
 
     def arrays(self, trial: Trial, part: str) -> Arrays:
         """The numbers of a probe."""
@@ -175,22 +200,6 @@ def tiny(measure: str, settings: dict[str, Any]) -> dict[str, Any]:
                 continue
             found[name] = smaller
     return found
-
-
-def context(trial: Trial, part: str, digests: dict[str, str], state: str) -> tuple[Any, ...]:
-    """What a probe depends on: trials with the same context share it.
-
-    ``digests`` are those of the trial's parts, ``state`` that of the fitted method's tensors.
-    """
-    material = (repr(trial.material_spec), digests.get(MATERIAL, ""))
-    if part == MATERIAL:
-        return part, *material
-    if part in (MEASURE, SCENE):
-        settings = repr(sorted(tiny(trial.measure, trial.settings).items()))
-        placed = (repr(trial.scene_spec), digests.get(SCENE, ""), digests.get(MEASURE, ""))
-        return part, trial.measure, settings, trial.seed, *material, *placed
-    method = (trial.method_name, repr(sorted(trial.params.items())), digests.get(part, ""))
-    return part, *method, state, *material
 
 
 def _quiet(text: str) -> None:

@@ -11,15 +11,19 @@ from rich.console import Console
 from rich.text import Text
 
 from harness.analysis.renew import renew
+from harness.core.protocol.errors import InputError
 from harness.measures.base import FAILED
 from harness.runner import executor as executors
 from harness.runner import only as only_option
 from harness.runner import preflight
+from harness.runner.jobs import Jobs
 from harness.runner.only import Only
+from harness.runner.probes import Probes
 from harness.runner.progress import Pace, Progress
 from harness.runner.todo import Todo, make_todo
 from harness.runner.validity import Validity
 from harness.runner.worker import Worker
+from harness.store import code, files
 from harness.store.database import is_ours
 from harness.store.folder import ResultsFolder
 from harness.store.lock import locked
@@ -92,7 +96,10 @@ def _todo(plan: Plan, store: ResultsFolder, only: Only, options: Options) -> Tod
     """The plan, less what is stored whole and still holds."""
     found = store.trials({trial.hash for trial in plan.trials})
     stored = {key: trial for key, trial in found.items() if trial.status != DAMAGED}
-    validity = Validity(plan, stored, store.units)
+    validity = Validity(plan, stored, lambda digest: code.units(store, digest))
+    if store.write:
+        jobs = Jobs(plan.baseline, stored, lambda text: None, plan.resolved)
+        validity.probed = Probes(plan, store, validity, jobs).same
     return make_todo(plan, stored, validity, only, options.retry_failed, options.refit)
 
 
@@ -101,7 +108,10 @@ def _write_plan(plan: Plan, store: ResultsFolder) -> None:
     command = ["--profile", plan.profile] if plan.profile else []
     command += ["--device", plan.device]
     text = f"# As run, with {shlex.join(command)}\n{plan.text}"
-    (store.folder / "suite.yaml").write_text(text, encoding="utf-8")
+    try:
+        files.put(store.folder / "suite.yaml", text.encode())
+    except OSError as error:
+        raise InputError(f"{store.folder}: cannot be written: {error.strerror}") from error
     head = {
         "suite": plan.suite,
         "title": plan.title,
@@ -118,7 +128,11 @@ def _write_plan(plan: Plan, store: ResultsFolder) -> None:
 
 
 def _explain(todo: Todo, console: Console) -> None:
-    """Why stored numbers are measured again."""
+    """Why stored numbers are measured again, and which stand although their code changed."""
+    asked = {trial.hash for trial in todo.selected}
+    kept = Counter(v.sentence for h, v in todo.equivalent.items() if h in asked)
+    for sentence, count in kept.most_common():
+        _say(console, f"  {_trials(count)} {sentence}", "dim")
     wanted = {trial.hash for trial in todo.trials}
     counts = Counter(v.sentence for h, v in todo.stale.items() if h in wanted)
     for sentence, count in counts.most_common():

@@ -9,7 +9,6 @@ day it was taken at, and says so under ``shipped``.
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -33,8 +32,9 @@ def described(trial: Trial) -> dict[str, Any]:
     """What makes a fit the same fit, wherever and whenever it is run.
 
     Material, method, parameters, budget and seed. Not the device, machine or versions, which the
-    record names, nor the code: the digests of what it was fitted with are kept beside the state,
-    and a run whose training is another fits anew.
+    record names, nor the code: a state is data, and what it gives is measured anew. The digests
+    of the code that fitted it are kept beside it; where that has changed, its seconds and its loss
+    are those of another training, and shown as stale.
     """
     method = trial.identity["method"]
     budget = {key: value for key, value in method["budget"].items() if key != "device"}
@@ -76,11 +76,6 @@ def load(path: Path) -> tuple[Outcome, dict[str, Any]]:
     arrays = {n.removeprefix(_ARRAY): t.numpy() for n, t in tensors.items() if n.startswith(_ARRAY)}
     state = {n.removeprefix(_STATE): t for n, t in tensors.items() if n.startswith(_STATE)}
     return Outcome(arrays={**raw_of(values), **arrays}, tensors=state), about
-
-
-def still(kept: Mapping[str, str], current: Mapping[str, str]) -> bool:
-    """Whether the code that a shipped fit was trained by is today's."""
-    return kept.get(TRAINING) == current.get(TRAINING)
 
 
 def save(trial: Trial, stored: Stored, folder: Path = FOLDER) -> Path | None:

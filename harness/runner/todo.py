@@ -45,8 +45,8 @@ class Todo:
     """``units`` to carry out; ``selected`` trials the run is about, done or not.
 
     ``stored`` are the planned trials that are there, ``stale`` why some of them do not hold any
-    more. ``doubtful`` ones are to be measured only if their fit, which is made again, comes out
-    different.
+    more, ``equivalent`` that their code changed and their numbers did not. ``doubtful`` ones are
+    to be measured only if their fit, which is made again, comes out different.
     """
 
     units: list[Unit]
@@ -54,6 +54,7 @@ class Todo:
     stored: dict[str, Stored]
     stale: dict[str, Verdict] = field(default_factory=dict)
     doubtful: frozenset[str] = frozenset()
+    equivalent: dict[str, Verdict] = field(default_factory=dict)
 
     @property
     def trials(self) -> list[Trial]:
@@ -77,7 +78,8 @@ def make_todo(
     """
     by_hash = {trial.hash: trial for trial in plan.trials}
     verdicts = {h: validity.verdict(by_hash[h]) for h in stored if h in by_hash}
-    stale = {h: v for h, v in verdicts.items() if not v.stands}
+    # A fit that came with the harness is data: other code would not make it another one.
+    stale = {h: v for h, v in verdicts.items() if not (v.stands or stored[h].shipped)}
     present = {h: found for h, found in stored.items() if h not in stale}
     if refit:
         came = {h for h, found in present.items() if found.shipped}
@@ -113,7 +115,8 @@ def make_todo(
         if unit.fits or unit.groups:
             units[material] = unit
     names = frozenset(trial.hash for trial in doubtful)
-    return Todo(list(units.values()), selected, present, stale, names)
+    equivalent = {h: v for h, v in verdicts.items() if v.state == "equivalent"}
+    return Todo(list(units.values()), selected, present, stale, names, equivalent)
 
 
 def needed_fits(plan: Plan, trial: Trial) -> list[str]:

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import Any
 
-from harness.analysis.renew import analysis_digest
-from harness.core import machine
-from harness.identity.digests import Part, SourceDigest
+from harness.analysis.renew import OUTDATED, analysis_digest, outdated
+from harness.core import machine, registry
+from harness.identity.digests import Digests, Part, SourceDigest
 from harness.identity.ours import digests
 from harness.identity.verdict import (
     ADAPTER,
@@ -40,7 +41,8 @@ class Validity:
         units: Callable[[str], Mapping[str, str]] = lambda digest: {},
     ):
         self.plan, self.stored, self.units = plan, stored, units
-        self.known = digests()
+        self.known = _as_edited(plan)
+        self.probed: Callable[[Trial], Callable[[str, str, str], bool]] | None = None
         self._parts: dict[tuple, dict[str, Part]] = {}
         self._analyses: dict[str, str] = {}
         self._sources: dict[tuple, dict[str, SourceDigest]] = {}
@@ -54,6 +56,10 @@ class Validity:
         if self._compared(trial):
             found[BASELINE] = self.sources(self.plan.baseline_of(trial))[ADAPTER].digest
         return found
+
+    def begins(self, trial: Trial) -> dict[str, Part]:
+        """Where the code of each part begins."""
+        return self._of(trial)
 
     def entries(self, trial: Trial) -> dict[str, Any]:
         """Where the code of each part begins, as plain data."""
@@ -76,6 +82,8 @@ class Validity:
     def verdict(self, trial: Trial) -> Verdict:
         """Of the stored trial, which is there.
 
+        Where only code changed, ``probed(trial)`` gives who is asked whether the numbers did.
+
         A fit that is not stored says nothing yet: made again it may give the same state.
         """
         sources = {s.digest: s.units for s in self.sources(trial).values()}
@@ -89,7 +97,8 @@ class Validity:
             if fit not in self.stored:
                 before.pop(part, None)
                 now.pop(part, None)
-        return judge(before, now, details=details)
+        found = judge(before, now, self.probed(trial) if self.probed else None, details)
+        return OUTDATED if found.stands and outdated(self.stored[trial.hash]) else found
 
     def stands(self, trial: Trial) -> bool:
         """Whether a trial is stored and its numbers are current."""
@@ -132,3 +141,22 @@ class Validity:
 
     def _key(self, trial: Trial) -> tuple:
         return trial.method_name, repr(trial.material_spec), trial.measure, repr(trial.scene_spec)
+
+
+_STAMPS: dict[Path, int] = {}
+"""When adapters were last edited that this process has looked at."""
+
+
+def _as_edited(plan: Plan) -> Digests:
+    """Digests of the source tree; read anew if an adapter was edited since this process read it.
+
+    The registry imports such an adapter again, so that the code that runs is the edited one.
+    """
+    now = {}
+    for name in dict.fromkeys(trial.method_name for trial in plan.trials):
+        file = registry.find(name).file
+        now[file] = file.stat().st_mtime_ns
+    if any(_STAMPS.get(file, stamp) != stamp for file, stamp in now.items()):
+        digests.cache_clear()
+    _STAMPS.update(now)
+    return digests()

@@ -6,7 +6,7 @@ import gc
 import math
 import time
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from datetime import UTC, datetime
 from typing import Any
@@ -23,10 +23,11 @@ from harness.measures.base import Job, Outcome
 from harness.runner import process_repeats, shipped
 from harness.runner.jobs import Jobs
 from harness.runner.machine_lock import machine as machine_held
+from harness.runner.probes import Probes
 from harness.runner.progress import Progress
 from harness.runner.todo import FINAL, Group, Unit
 from harness.runner.validity import Validity
-from harness.store import write
+from harness.store import code, write
 from harness.store.folder import ResultsFolder
 from harness.store.stored import Stored
 from harness.suite.plan import Plan
@@ -49,6 +50,8 @@ class Worker:
         self.plan, self.results, self.stored, self.progress = plan, results, stored, progress
         self.validity, self.refit, self.doubtful = validity, refit, doubtful
         self.jobs = Jobs(plan.baseline, stored, progress.note, plan.resolved)
+        self.probes = Probes(plan, results, validity, self.jobs)
+        self._measured: list[Trial] = []
 
     def unit(self, unit: Unit) -> None:
         """Fit all methods to one material, then measure them."""
@@ -57,6 +60,8 @@ class Worker:
                 self._group(Group([trial]))
         for group in unit.groups:
             self._group(group)
+        self.probes.keep(self._measured, self.progress.note)
+        self._measured.clear()
         self.jobs.forget_methods()
         gc.collect()
 
@@ -66,12 +71,9 @@ class Worker:
         if path is None:
             return False
         outcome, about = shipped.load(path)
-        if not shipped.still(about["parts"], self.validity.parts(trial)):
-            return False  # it was trained by other code
         self._number(trial, outcome)
-        self._save(
-            trial, outcome, about["started"], about["seconds"], about["environment"], path.name
-        )
+        when = about["started"], about["seconds"], about["environment"]
+        self._save(trial, outcome, *when, path.name, about["parts"])
         return True
 
     # --- one call of a measure -----------------------------------------------------------------
@@ -181,6 +183,7 @@ class Worker:
         seconds: float,
         environment: dict[str, Any] | None = None,
         origin: str = "",
+        parts: Mapping[str, str] | None = None,
     ) -> None:
         about = Stored(
             hash=trial.hash,
@@ -194,12 +197,14 @@ class Worker:
             fit=trial.fit,
             shipped=origin,
             effects=self.jobs.choices.get(trial.hash, {}),
-            parts=self.validity.parts(trial),
+            parts=self.validity.parts(trial) | dict(parts or {}),
             entries=self.validity.entries(trial),
             analysis=self.validity.analysis(trial.measure),
         )
         try:
             stored = write.save(self.results, about, outcome)
+        except InputError:
+            raise  # of the folder: it is full, or cannot be written
         except (TypeError, ValueError, RuntimeError) as error:
             outcome = Outcome(
                 "error",
@@ -208,10 +213,12 @@ class Worker:
             )
             about = replace(about, status=outcome.status, reason=outcome.reason)
             stored = write.save(self.results, about, outcome)
-        self.results.note_units(
-            {s.digest: short(s.units) for s in self.validity.sources(trial).values()}
+        code.note_units(
+            self.results, {s.digest: short(s.units) for s in self.validity.sources(trial).values()}
         )
         self.stored[trial.hash] = stored
+        if outcome.status == "ok":
+            self._measured.append(trial)
         # What came ready says nothing about the time that is left.
         self.progress.finish(trial, outcome, 0.0 if origin else seconds)
 

@@ -7,6 +7,7 @@ not the write-ahead log: that needs a writable folder even to read.
 
 from __future__ import annotations
 
+import os
 import sqlite3
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -15,6 +16,8 @@ from pathlib import Path
 from harness.core.protocol.errors import InputError
 
 FILE = "results.sqlite"
+ASIDE = f"{FILE}.damaged-"
+"""Begins the name of a damaged file that was set aside."""
 OLD_PLAN = "plan.json"
 """Mark of the format before this one, a folder a trial."""
 MARK = 0x42534446
@@ -42,21 +45,37 @@ CREATE TABLE blob (digest TEXT PRIMARY KEY, body BLOB NOT NULL);
 CREATE TABLE damaged (
     trial TEXT NOT NULL, noticed TEXT NOT NULL, reason TEXT NOT NULL, body BLOB);
 CREATE TABLE units (digest TEXT PRIMARY KEY, body BLOB NOT NULL);
+CREATE TABLE probe (
+    part TEXT NOT NULL, digest TEXT NOT NULL, trial TEXT NOT NULL, state TEXT NOT NULL,
+    PRIMARY KEY (part, digest)) WITHOUT ROWID;
 CREATE TABLE equivalent (
-    part TEXT NOT NULL, old TEXT NOT NULL, new TEXT NOT NULL, context TEXT NOT NULL,
-    PRIMARY KEY (part, old, new, context)) WITHOUT ROWID;
+    part TEXT NOT NULL, old TEXT NOT NULL, new TEXT NOT NULL, shared TEXT NOT NULL,
+    PRIMARY KEY (part, old, new, shared)) WITHOUT ROWID;
 """
 
 
 def is_ours(folder: Path) -> bool:
     """Whether the folder holds results of this format (a marked file, of any version)."""
-    path = folder / FILE
+    return _mark(folder) == MARK
+
+
+def is_foreign(folder: Path) -> bool:
+    """Whether the file is a database, and another program's."""
+    return _mark(folder) not in (None, 0, MARK)
+
+
+def _mark(folder: Path) -> int | None:
+    """The file's ``application_id``; None if there is no file or it is no database."""
     try:
-        with path.open("rb") as file:
+        with (folder / FILE).open("rb") as file:
             head = file.read(100)
     except OSError:
-        return False
-    return head[:16] == b"SQLite format 3\0" and int.from_bytes(head[68:72], "big") == MARK
+        return None
+    if len(head) < 100 or head[:16] != b"SQLite format 3\0":
+        return None
+    mark = int.from_bytes(head[68:72], "big")
+    # A program that sets no mark has tables all the same; without pages it is a file just begun.
+    return -1 if mark == 0 and int.from_bytes(head[28:32], "big") > 1 else mark
 
 
 def connect(folder: Path, write: bool = False) -> sqlite3.Connection:
@@ -79,8 +98,12 @@ def connect(folder: Path, write: bool = False) -> sqlite3.Connection:
         if write:
             connection = sqlite3.connect(path, timeout=_PATIENCE, isolation_level=None)
         else:
-            uri = f"{path.resolve().as_uri()}?mode=ro"
+            # What a killed run left half written is rolled back by the next who opens the file,
+            # for which it has to be writable.
+            mode = "rw" if os.access(path, os.W_OK) and os.access(folder, os.W_OK) else "ro"
+            uri = f"{path.resolve().as_uri()}?mode={mode}"
             connection = sqlite3.connect(uri, timeout=_PATIENCE, isolation_level=None, uri=True)
+            connection.execute("PRAGMA query_only = ON")
         try:
             _check(connection, folder, write)
         except BaseException:
@@ -136,7 +159,10 @@ def explained(folder: Path) -> Iterator[None]:
     except sqlite3.OperationalError as error:
         raise InputError(f"{folder / FILE}: {_sentence(str(error))}") from error
     except sqlite3.DatabaseError as error:
-        raise Damaged(f"{folder / FILE}: is damaged ({error})") from error
+        raise Damaged(
+            f"{folder / FILE}: is damaged ({error}); harness run sets it aside, keeps what can be"
+            " read and measures the rest again"
+        ) from error
 
 
 def _sentence(text: str) -> str:
@@ -145,6 +171,7 @@ def _sentence(text: str) -> str:
         "readonly": "cannot be written: the file or its folder is read-only",
         "unable to open": "cannot be opened: the folder is read-only or not there",
         "full": "the disk is full; what was stored before is kept, the same command goes on",
-        "disk I/O": "the disk refuses to read or write; what was stored before is kept",
+        "disk I/O": "the disk is full or refuses; what was stored before is kept, the same command"
+        " goes on",
     }
     return next((said for word, said in known.items() if word in text), text)

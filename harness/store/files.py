@@ -5,34 +5,47 @@ from __future__ import annotations
 import hashlib
 import os
 import re
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from pathlib import Path
 
 from harness.core.protocol.errors import InputError
 
 FOLDER = "files"
-_OURS = re.compile(r"([0-9a-f]{32}|\.tmp-\d+)\.\w+")
+LENGTH = 32
+"""Hex digits of a digest."""
+_OURS = re.compile(rf"([0-9a-f]{{{LENGTH}}}|\.tmp-\d+)\.\w+")
 
 
 class DamagedFile(InputError):
     """A file beside the database is missing, or is not what was stored."""
 
 
-def keep(results: Path, name: str, write: Callable[[Path], None]) -> str:
-    """Have ``write`` make a file and keep it under its digest, which is returned.
+def keep(results: Path, name: str, data: bytes) -> str:
+    """Keep the content of a file under its digest, which is returned.
 
     ``name`` gives the suffix. The same content is kept once.
+
+    Raises:
+        OSError: the folder cannot be written.
     """
-    folder = results / FOLDER
-    folder.mkdir(parents=True, exist_ok=True)
-    temporary = folder / f".tmp-{os.getpid()}{Path(name).suffix}"
+    digest = hashlib.sha256(data).hexdigest()[:LENGTH]
+    path = place(results, name, digest)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    put(path, data)
+    return digest
+
+
+def put(path: Path, data: bytes) -> None:
+    """Write a file whole or not at all; it is on the disk when this returns."""
+    temporary = path.parent / f".tmp-{os.getpid()}{path.suffix}"
     try:
-        write(temporary)
-        digest = digest_of(temporary)
-        os.replace(temporary, place(results, name, digest))
+        with temporary.open("wb") as file:
+            file.write(data)
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(temporary, path)
     finally:
         temporary.unlink(missing_ok=True)
-    return digest
 
 
 def place(results: Path, name: str, digest: str) -> Path:
@@ -65,4 +78,4 @@ def sweep(results: Path, wanted: Iterable[str]) -> None:
 def digest_of(path: Path) -> str:
     """First 32 hex digits of the SHA-256 of a file's bytes."""
     with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()[:32]
+        return hashlib.file_digest(file, "sha256").hexdigest()[:LENGTH]

@@ -10,26 +10,27 @@ A trial appears whole or not at all. All that is read is compared with its check
 
 from __future__ import annotations
 
-import json
 import sqlite3
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from datetime import UTC, datetime
-from functools import cached_property, partial
 from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
 from harness.core.protocol.errors import InputError
 from harness.store import files
+from harness.store.bodies import Texts, body_of, stored_of
+from harness.store.damage import damage
 from harness.store.database import Damaged, connect, explained, transaction
-from harness.store.packing import array_bytes, array_of, digest, json_bytes, pack, unpack
-from harness.store.stored import DAMAGED, LABELS, NOT_RUN, Stored
+from harness.store.packing import array_bytes, array_of, digest, json_bytes, pack, parsed, unpack
+from harness.store.stored import LABELS, NOT_RUN, Stored
 
 if TYPE_CHECKING:
     import numpy as np
 
-_SHARED = ("trial", "environment", "documents", "entries")
-"""Entries of a trial whose values are kept once for all trials that share them."""
+_FEW = 500
+"""Trials that are asked for by their keys; more of them are picked from all."""
 
 
 class ResultsFolder:
@@ -43,6 +44,7 @@ class ResultsFolder:
     def __init__(self, folder: str | Path, write: bool = False):
         self.folder, self.write = Path(folder), write
         self._connection = connect(self.folder, write)
+        self._texts = Texts(self._connection)
 
     def __enter__(self) -> Self:
         return self
@@ -59,6 +61,27 @@ class ResultsFolder:
         """Release the file."""
         self._connection.close()
 
+    def run(self, statement: str, *values: Any) -> sqlite3.Cursor:
+        """One statement; SQLite's errors are those of the caller's :func:`explained`."""
+        return self._connection.execute(statement, values)
+
+    @contextmanager
+    def writing(self) -> Iterator[None]:
+        """A transaction: all of what is inside, or nothing of it."""
+        with explained(self.folder), transaction(self._connection):
+            yield
+
+    @contextmanager
+    def as_it_is(self) -> Iterator[None]:
+        """All that is read inside is of one moment, whoever writes meanwhile."""
+        with explained(self.folder):
+            self.run("BEGIN")
+            try:
+                yield
+            finally:
+                if self._connection.in_transaction:
+                    self.run("COMMIT")
+
     # --- writing -------------------------------------------------------------------------------
 
     def save(
@@ -71,19 +94,25 @@ class ResultsFolder:
         Raises:
             ValueError, TypeError: something in it cannot be stored.
         """
-        packed = {name: array_bytes(array) for name, array in arrays.items()}
-        digests = {name: digest(data) for name, data in packed.items()}
-        with explained(self.folder), transaction(self._connection):
-            body = json_bytes(self._body(trial, digests, kept))
-            self._run("DELETE FROM array WHERE trial = ?", trial.hash)
-            for name, data in packed.items():
-                self._run("INSERT OR IGNORE INTO blob VALUES (?, ?)", digests[name], pack(data))
-                self._run("INSERT INTO array VALUES (?, ?, ?)", trial.hash, name, digests[name])
-            self._run(
+        with self.writing():
+            digests = self.keep_arrays(trial.hash, arrays)
+            body = body_of(trial, self._texts, digests, kept)
+            self.run(
                 "INSERT OR REPLACE INTO trial VALUES (?, ?, ?)",
                 *(trial.hash, digest(body), pack(body)),
             )
         return self.trial(trial.hash)
+
+    def save_records(self, trials: Mapping[str, Stored]) -> None:
+        """Replace records, status and reason of stored trials; raw data stay as they are."""
+        with self.writing():
+            arrays = self._arrays()
+            for key, trial in trials.items():
+                body = body_of(trial, self._texts, arrays.get(key, {}), trial.files)
+                self.run(
+                    "UPDATE trial SET checksum = ?, body = ? WHERE trial = ?",
+                    *(digest(body), pack(body), key),
+                )
 
     def write_plan(self, head: Mapping[str, Any], rows: Iterable[Mapping[str, Any]]) -> None:
         """Replace the plan: ``head``, and a row per planned trial.
@@ -91,125 +120,118 @@ class ResultsFolder:
         A row holds the key under ``trial``, its labels, its ``identity`` and the key of the
         ``fit`` that it needs.
         """
-        with explained(self.folder), transaction(self._connection):
-            self._run("DELETE FROM plan")
-            self._run("INSERT OR REPLACE INTO meta VALUES ('plan', ?)", json_bytes(head).decode())
-            for position, row in enumerate(rows):
-                labels = [row[key] for key in LABELS]
-                identity = json_bytes(self._shared(row["identity"])).decode()
-                self._run(
-                    "INSERT INTO plan VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
-                    *(position, row["trial"], *labels, row["fit"], identity),
+        with self.writing():
+            packed = [
+                (
+                    *(position, row["trial"], *(row[key] for key in LABELS), row["fit"]),
+                    json_bytes(self._texts.put(row["identity"])).decode(),
                 )
+                for position, row in enumerate(rows)
+            ]
+            text = json_bytes(head).decode()
+            self.run("DELETE FROM plan")
+            self._connection.executemany(
+                "INSERT INTO plan VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?)", packed
+            )
+            for name, value in (("plan", text), ("plan checksum", _plan_digest(text, packed))):
+                self.run("INSERT OR REPLACE INTO meta VALUES (?, ?)", name, value)
 
-    def set_aside(self, trial: str, reason: str) -> None:
-        """Take a damaged trial out of the results; what is left of it is kept apart."""
+    def keep_arrays(self, key: str, arrays: Mapping[str, np.ndarray]) -> dict[str, str]:
+        """Inside of :meth:`writing`: replace the arrays under ``key``; their digests.
+
+        The same content is kept once.
+        """
+        self.run("DELETE FROM array WHERE trial = ?", key)
+        digests = {}
+        for name, array in arrays.items():
+            data = array_bytes(array)
+            digests[name] = digest(data)
+            # What stands there under this digest may be damaged.
+            self.run("INSERT OR REPLACE INTO blob VALUES (?, ?)", digests[name], pack(data))
+            self.run("INSERT INTO array VALUES (?, ?, ?)", key, name, digests[name])
+        return digests
+
+    def set_aside(self, trials: Mapping[str, str]) -> None:
+        """Take trials out of the results, by key with the reason; their bodies are kept apart."""
         noticed = datetime.now(UTC).isoformat(timespec="seconds")
-        with explained(self.folder), transaction(self._connection):
-            self._run(
-                "INSERT INTO damaged SELECT trial, ?, ?, body FROM trial WHERE trial = ?",
-                *(noticed, reason, trial),
-            )
-            self._run("DELETE FROM trial WHERE trial = ?", trial)
-            self._run("DELETE FROM array WHERE trial = ?", trial)
-
-    def save_records(self, key: str, trial: Stored) -> None:
-        """Replace records, status and reason of a stored trial; its raw data stay as they are."""
-        with explained(self.folder):
-            rows = self._run("SELECT name, digest FROM array WHERE trial = ?", key).fetchall()
-        with explained(self.folder), transaction(self._connection):
-            body = json_bytes(self._body(trial, dict(rows), trial.files))
-            self._run(
-                "UPDATE trial SET checksum = ?, body = ? WHERE trial = ?",
-                digest(body),
-                pack(body),
-                key,
-            )
-
-    def check(self) -> None:
-        """Raise :class:`~harness.store.database.Damaged` if the file is no whole database."""
-        with explained(self.folder):
-            (said,) = self._connection.execute("PRAGMA quick_check(1)").fetchone()
-        if said != "ok":
-            raise Damaged(f"{self.folder}: {said}")
+        with self.writing():
+            for key, reason in trials.items():
+                self.run(
+                    "INSERT INTO damaged SELECT trial, ?, ?, body FROM trial WHERE trial = ?",
+                    *(noticed, reason, key),
+                )
+                self.run("DELETE FROM trial WHERE trial = ?", key)
+                self.run("DELETE FROM array WHERE trial = ?", key)
 
     def tidy(self) -> None:
         """Remove arrays and files that no trial names any more."""
-        with explained(self.folder), transaction(self._connection):
-            self._run("DELETE FROM blob WHERE digest NOT IN (SELECT digest FROM array)")
+        with self.writing():
+            self.run("DELETE FROM blob WHERE digest NOT IN (SELECT digest FROM array)")
         named = [d for t in self.trials().values() for d in t.files.values()]
         files.sweep(self.folder, named)
 
     def compact(self) -> None:
         """Give the space of what was removed back to the disk."""
         with explained(self.folder):
-            self._connection.execute("VACUUM")
-
-    def note_equivalent(self, part: str, old: str, new: str, context: str = "") -> None:
-        """Remember that a probe found the numbers of two digests of a part to be the same."""
-        with explained(self.folder), transaction(self._connection):
-            self._run(
-                "INSERT OR REPLACE INTO equivalent VALUES (?, ?, ?, ?)", part, old, new, context
-            )
-
-    def note_units(self, sources: Mapping[str, Mapping[str, str]]) -> None:
-        """Remember what the digests of source code are made of: hashes by unit, by digest."""
-        with explained(self.folder):
-            known = {key for (key,) in self._run("SELECT digest FROM units")}
-            for key in sources.keys() - known:
-                body = pack(json_bytes(sources[key]))
-                self._run("INSERT OR IGNORE INTO units VALUES (?, ?)", key, body)
+            self.run("VACUUM")
 
     # --- reading -------------------------------------------------------------------------------
 
     def plan(self) -> dict[str, Any]:
         """The plan of the last run: suite, title, profile, baseline, report, labels and trials."""
         with explained(self.folder):
-            found = self._run("SELECT value FROM meta WHERE name = 'plan'").fetchone()
-            if found is None:
+            meta = dict(self.run("SELECT name, value FROM meta").fetchall())
+            rows = self.run("SELECT * FROM plan ORDER BY position").fetchall()
+            if "plan" not in meta:
                 raise InputError(f"{self.folder}: holds no plan yet; run the suite first")
-            rows = self._run("SELECT * FROM plan ORDER BY position").fetchall()
-        keys = ("trial", *LABELS, "fit")
-        trials = [
-            {**dict(zip(keys, row[1:-1], strict=True)), "identity": self._opened(_json(row[-1]))}
-            for row in rows
-        ]
-        return {**_json(found[0]), "trials": trials}
+            keys = ("trial", *LABELS, "fit")
+            try:
+                if _plan_digest(meta["plan"], rows) != meta.get("plan checksum"):
+                    raise ValueError("it does not match its checksum")
+                trials = [
+                    {
+                        **dict(zip(keys, row[1:-1], strict=True)),
+                        "identity": self._texts.get(parsed(row[-1])),
+                    }
+                    for row in rows
+                ]
+                return {**parsed(meta["plan"]), "trials": trials}
+            except (ValueError, TypeError) as error:
+                raise Damaged(
+                    f"{self.folder}: the stored plan is damaged: {error}; harness run writes it"
+                    " again"
+                ) from None
 
     def keys(self) -> set[str]:
         """Keys of all stored trials, planned or not."""
         with explained(self.folder):
-            return {key for (key,) in self._run("SELECT trial FROM trial")}
+            return {key for (key,) in self.run("SELECT trial FROM trial")}
 
     def trial(self, key: str) -> Stored:
         """One trial; a planned one that was not run is ``skipped``."""
         found = self.trials([key])
         if key in found:
             return found[key]
-        with explained(self.folder):
-            row = self._run("SELECT * FROM plan WHERE trial = ?", key).fetchone()
-        if row is None:
-            raise InputError(f"{self.folder}: no trial '{key}'")
-        labels = dict(zip(LABELS, row[2:8], strict=True))
-        return Stored(key, self._opened(_json(row[9])), labels, "skipped", NOT_RUN)
+        for row in self.plan()["trials"]:
+            if row["trial"] == key:
+                labels = {name: row[name] for name in LABELS}
+                return Stored(key, row["identity"], labels, "skipped", NOT_RUN)
+        raise InputError(f"{self.folder}: no trial '{key}'")
 
     def trials(self, keys: Iterable[str] | None = None) -> dict[str, Stored]:
-        """Stored trials by key, those of ``keys`` or all; a damaged one is an ``error``."""
-        with explained(self.folder):
-            rows = self._run("SELECT trial, checksum, body FROM trial").fetchall()
+        """Stored trials by key, those of ``keys`` or all; one whose body is damaged says so."""
         wanted = None if keys is None else set(keys)
-        return {r[0]: self._stored(*r) for r in rows if wanted is None or r[0] in wanted}
-
-    def equivalents(self) -> set[tuple[str, str, str]]:
-        """``(part, old digest, new digest)`` between which no number changed."""
+        one_by_one = wanted is not None and len(wanted) <= _FEW
+        place = f" WHERE trial IN ({', '.join('?' * len(wanted or ()))})" if one_by_one else ""
+        asked = sorted(wanted or ()) if one_by_one else ()
         with explained(self.folder):
-            return set(self._run("SELECT part, old, new FROM equivalent"))
-
-    def units(self, key: str) -> dict[str, str]:
-        """Hashes by unit of a digest of source code; empty if it is not known."""
-        with explained(self.folder):
-            row = self._run("SELECT body FROM units WHERE digest = ?", key).fetchone()
-        return _json(unpack(row[0])) if row else {}
+            rows = self.run(f"SELECT trial, checksum, body FROM trial{place}", *asked).fetchall()
+            arrays = self._arrays(place, *asked)
+            return {
+                row[0]: stored_of(self.folder, self._texts, *row, arrays.get(row[0], {}))
+                for row in rows
+                if wanted is None or row[0] in wanted
+            }
 
     def arrays(self, key: str) -> dict[str, np.ndarray]:
         """The raw arrays of a trial.
@@ -218,18 +240,22 @@ class ResultsFolder:
             InputError: one does not match its checksum.
         """
         with explained(self.folder):
-            rows = self._run(
+            rows = self.run(
                 "SELECT name, array.digest, body FROM array LEFT JOIN blob USING (digest)"
                 " WHERE trial = ?",
                 key,
             ).fetchall()
         return {name: array_of(self._intact(key, name, kept, body)) for name, kept, body in rows}
 
-    def damage(self) -> dict[str, str]:
-        """What is wrong with stored trials, by key: bodies, arrays and files are all read."""
-        found = {k: t.reason for k, t in self.trials().items() if t.status == DAMAGED}
+    def damage(self, trials: Mapping[str, Stored] | None = None) -> dict[str, str]:
+        """What is wrong with stored trials, by key; see :func:`harness.store.damage.damage`."""
+        return damage(self, trials)
+
+    def array_damage(self) -> dict[str, str]:
+        """What is wrong with raw arrays, by trial."""
+        found: dict[str, str] = {}
         with explained(self.folder):
-            rows = self._run(
+            rows = self.run(
                 "SELECT array.digest, body, group_concat(trial), min(name) FROM array"
                 " LEFT JOIN blob USING (digest) GROUP BY array.digest"
             )
@@ -238,78 +264,23 @@ class ResultsFolder:
                     self._intact(trials, name, kept, body)
                 except InputError as error:
                     found.update(dict.fromkeys(trials.split(","), str(error)))
-        seen: dict[tuple[str, str], str] = {}
-        for key, trial in self.trials().items():
-            for name, kept in trial.files.items():
-                if (name, kept) not in seen:
-                    seen[name, kept] = _file_damage(self.folder, name, kept)
-                if seen[name, kept]:
-                    found[key] = seen[name, kept]
         return found
+
+    def check(self) -> None:
+        """Raise :class:`~harness.store.database.Damaged` if the file is no whole database."""
+        with explained(self.folder):
+            (said,) = self.run("PRAGMA quick_check(1)").fetchone()
+        if said != "ok":
+            raise Damaged(f"{self.folder}: {said}")
 
     # --- inside --------------------------------------------------------------------------------
 
-    def _run(self, statement: str, *values: Any) -> sqlite3.Cursor:
-        return self._connection.execute(statement, values)
-
-    def _body(
-        self, trial: Stored, arrays: Mapping[str, str], kept: Mapping[str, str]
-    ) -> dict[str, Any]:
-        body = {
-            key: value
-            for key, value in vars(trial).items()
-            if key not in ("hash", "folder", "reader", *_CACHED) and value not in ("", {}, [])
-        }
-        for key in _SHARED:
-            if key in body:
-                body[key] = self._shared(body[key])
-        return {**body, "trial_key": trial.hash, "arrays": dict(arrays), "files": dict(kept)}
-
-    def _shared(self, data: Mapping[str, Any]) -> dict[str, str]:
-        """The values of ``data`` as digests of text that is kept once."""
-        found = {}
-        for key, value in data.items():
-            text = json_bytes(value)
-            found[key] = digest(text)
-            if found[key] not in self._texts:
-                self._run("INSERT OR IGNORE INTO text VALUES (?, ?)", found[key], pack(text))
-                self._texts[found[key]] = value
+    def _arrays(self, place: str = "", *asked: str) -> dict[str, dict[str, str]]:
+        """Digests of arrays by trial and name."""
+        found: dict[str, dict[str, str]] = {}
+        for trial, name, kept in self.run(f"SELECT trial, name, digest FROM array{place}", *asked):
+            found.setdefault(trial, {})[name] = kept
         return found
-
-    def _opened(self, data: Mapping[str, str]) -> dict[str, Any]:
-        """What :meth:`_shared` was given."""
-        for kept in data.values():
-            if kept not in self._texts:
-                with explained(self.folder):
-                    row = self._run("SELECT body FROM text WHERE digest = ?", kept).fetchone()
-                text = unpack(row[0]) if row else b""
-                if digest(text) != kept:
-                    raise ValueError(f"the text {kept} does not match its checksum")
-                self._texts[kept] = _json(text)
-        return {key: self._texts[kept] for key, kept in data.items()}
-
-    @cached_property
-    def _texts(self) -> dict[str, Any]:
-        return {}
-
-    def _stored(self, key: str, checksum: str, packed: bytes) -> Stored:
-        try:
-            body = unpack(packed)
-            if digest(body) != checksum:
-                raise ValueError("it does not match its checksum")
-            data = _json(body)
-            if data.pop("trial_key") != key:
-                raise ValueError("it is another trial's")
-            data.pop("arrays")
-            for name in _SHARED:
-                if name in data:
-                    data[name] = self._opened(data[name])
-            data["records"] = [_record(record) for record in data.get("records", ())]
-            read = partial(_arrays, self.folder)
-            return Stored(key, folder=self.folder, reader=read, **{"reason": "", **data})
-        except (ValueError, TypeError, KeyError) as error:
-            reason = f"the stored trial is damaged: {error}; harness run measures it again"
-            return Stored(key, {}, dict.fromkeys(LABELS, ""), DAMAGED, reason)
 
     def _intact(self, trial: str, name: str, kept: str, body: bytes | None) -> bytes:
         try:
@@ -324,25 +295,5 @@ class ResultsFolder:
         return data
 
 
-def _arrays(folder: Path, key: str) -> dict[str, np.ndarray]:
-    with ResultsFolder(folder) as results:
-        return results.arrays(key)
-
-
-_CACHED = ("arrays", "images", "files")
-
-
-def _json(text: bytes | str) -> Any:
-    return json.loads(text)
-
-
-def _record(record: dict[str, Any]) -> dict[str, Any]:
-    return {k: float(v) if k in ("value", "ci_low", "ci_high") else v for k, v in record.items()}
-
-
-def _file_damage(folder: Path, name: str, kept: str) -> str:
-    try:
-        files.checked(folder, name, kept)
-    except files.DamagedFile as error:
-        return str(error)
-    return ""
+def _plan_digest(head: str, rows: list[tuple]) -> str:
+    return digest(json_bytes([head, *rows]))

@@ -9,10 +9,12 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from harness.core.protocol.errors import InputError
-from harness.store.database import FILE, OLD_PLAN, connect, is_ours
+from harness.store import files
+from harness.store.database import ASIDE, FILE, OLD_PLAN, connect, is_foreign, is_ours
 
 _LOCK = ".lock"
 _HARMLESS = (_LOCK, ".gitignore")
+_OURS = (FILE, files.FOLDER, "suite.yaml", "report", *_HARMLESS)
 
 
 @contextmanager
@@ -38,7 +40,8 @@ def locked(results: Path) -> Iterator[None]:
             raise InputError(
                 f"{results}: another run is writing there; wait for it or choose another --out"
             ) from None
-        connect(results, write=True).close()  # from now on the folder carries our mark
+        if not (results / FILE).exists():
+            connect(results, write=True).close()  # from now on the folder carries our mark
         yield
     finally:
         os.close(file)
@@ -50,9 +53,15 @@ def claim(results: Path) -> None:
         raise InputError("--out: expected a folder of its own for the results")
     if results.exists() and not results.is_dir():
         raise InputError(f"{results}: is a file; expected a folder for the results")
-    if results.is_dir() and not is_ours(results) and not (results / OLD_PLAN).is_file():
-        others = sorted(p.name for p in results.iterdir() if p.name not in _HARMLESS)
-        if others and others != [FILE]:
+    if is_foreign(results) or (results / OLD_PLAN).is_file():
+        connect(results, write=False).close()  # says what it is
+    if results.is_dir():
+        names = sorted(path.name for path in results.iterdir())
+        # A file that is damaged beyond recognition is ours if all beside it is.
+        ours = _OURS if FILE in names else _HARMLESS
+        others = [n for n in names if n not in ours and not n.startswith(f"{FILE}-")]
+        others = [n for n in others if not n.startswith(ASIDE)]
+        if others and not is_ours(results):
             raise InputError(
                 f"{results}: holds other things than results ({', '.join(others[:3])}"
                 f"{', ...' if len(others) > 3 else ''}); expected an empty or a new folder"

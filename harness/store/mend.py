@@ -3,13 +3,19 @@
 from __future__ import annotations
 
 import os
+import shutil
 import sqlite3
+import tempfile
 from collections.abc import Callable
+from contextlib import closing
 from datetime import UTC, datetime
 from pathlib import Path
 
-from harness.store.database import FILE, Damaged, connect
+from harness.core.protocol.errors import InputError
+from harness.store.database import ASIDE, FILE, Damaged, connect, explained
 from harness.store.folder import ResultsFolder
+
+_JOURNAL = f"{FILE}-journal"
 
 
 def mend(folder: Path, say: Callable[[str], None]) -> None:
@@ -18,16 +24,23 @@ def mend(folder: Path, say: Callable[[str], None]) -> None:
     A trial that does not match its checksums, or one of whose arrays or files does not, leaves the
     results and is kept apart in the table ``damaged``. A file that is no whole database any more
     is renamed, and what can be read of it is taken over.
+
+    Raises:
+        InputError: the folder cannot be written.
     """
+    if (folder / FILE).stat().st_size == 0:
+        say(f"{folder / FILE}: was empty; begun anew")
     try:
         _whole(folder)
     except Damaged:
         aside = _rebuild(folder)
         say(f"{folder / FILE}: was damaged; kept as {aside.name}, what can be read is taken over")
     with ResultsFolder(folder, write=True) as results:
-        for trial, reason in results.damage().items():
-            results.set_aside(trial, reason)
-            say(f"{folder}: set aside and to be measured again: {reason}")
+        found = results.damage()
+        if found:
+            results.set_aside(found)
+    for reason in found.values():
+        say(f"set aside and to be measured again: {reason}")
 
 
 def _whole(folder: Path) -> None:
@@ -38,22 +51,39 @@ def _whole(folder: Path) -> None:
 def _rebuild(folder: Path) -> Path:
     """A new database of the readable rows of a damaged one, which is renamed."""
     path = folder / FILE
-    stamp = datetime.now(UTC).strftime("%Y%m%dT%H%M%S")
-    aside = folder / f"{FILE}.damaged-{stamp}"
-    os.replace(path, aside)
-    connect(folder, write=True).close()
-    old, new = sqlite3.connect(aside), sqlite3.connect(path)
+    stamp = datetime.now(UTC).strftime("%Y%m%dT%H%M%S.%f")
+    aside = folder / f"{ASIDE}{stamp}"
     try:
-        tables = [n for (n,) in new.execute("SELECT name FROM sqlite_master WHERE type = 'table'")]
-        for table in tables:
-            for row in _readable(old, table):
-                marks = ", ".join("?" * len(row))
-                new.execute(f"INSERT OR IGNORE INTO {table} VALUES ({marks})", row)
-        new.commit()
+        made = Path(tempfile.mkdtemp(prefix=f"{ASIDE}new-", dir=folder))
+    except OSError as error:
+        raise InputError(f"{folder}: cannot be written: {error.strerror}") from None
+    try:
+        with explained(folder):
+            connect(made, write=True).close()
+            with (
+                closing(sqlite3.connect(path)) as old,
+                closing(sqlite3.connect(made / FILE)) as new,
+            ):
+                _take_over(old, new)
+        os.replace(path, aside)
+        if (folder / _JOURNAL).exists():  # it belongs to the damaged file
+            os.replace(folder / _JOURNAL, f"{aside}-journal")
+        os.replace(made / FILE, path)
     finally:
-        old.close()
-        new.close()
+        shutil.rmtree(made, ignore_errors=True)
     return aside
+
+
+def _take_over(old: sqlite3.Connection, new: sqlite3.Connection) -> None:
+    tables = [n for (n,) in new.execute("SELECT name FROM sqlite_master WHERE type = 'table'")]
+    for table in tables:
+        for row in _readable(old, table):
+            marks = ", ".join("?" * len(row))
+            try:
+                new.execute(f"INSERT OR IGNORE INTO {table} VALUES ({marks})", row)
+            except sqlite3.ProgrammingError:
+                continue  # a value that no text or number can be made of
+    new.commit()
 
 
 def _readable(old: sqlite3.Connection, table: str) -> list[tuple]:

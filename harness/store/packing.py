@@ -63,9 +63,13 @@ def array_of(data: bytes) -> np.ndarray:
     return np.lib.format.read_array(io.BytesIO(data), allow_pickle=False)
 
 
-def number(value: Any) -> float:
-    """A number that :func:`json_bytes` wrote."""
-    return float(value)
+def parsed(text: bytes | str) -> Any:
+    """The data of :func:`json_bytes`.
+
+    Raises:
+        ValueError: not JSON.
+    """
+    return json.loads(text)
 
 
 def _plain(data: Any) -> Any:

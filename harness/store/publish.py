@@ -1,24 +1,27 @@
 """``python -m harness.store.publish FROM TO``: a compact copy of results, to be kept with the code.
 
-Planned trials with their records, raw arrays and images; not the states of fitted methods, which
-are large and can be fitted again, nor trials of earlier plans.
+Planned trials with their records and raw arrays, and the images of some materials; not the states
+of fitted methods, which are large and can be fitted again, nor trials of earlier plans.
 """
 
 from __future__ import annotations
 
 import argparse
 import shutil
+from collections.abc import Collection
 from dataclasses import replace
 from pathlib import Path
 
-from harness.store import files
+from harness.store import code, files
 from harness.store.folder import ResultsFolder
 from harness.store.lock import locked
 from harness.store.stored import STATE
 
 
-def publish(source: Path, target: Path) -> int:
+def publish(source: Path, target: Path, pictured: Collection[str] = ()) -> int:
     """Copy the planned trials of ``source`` to ``target``; how many there are.
+
+    Images are those of the ``pictured`` materials.
 
     What ``target`` held is replaced once the copy is whole.
 
@@ -34,16 +37,20 @@ def publish(source: Path, target: Path) -> int:
             t for k in dict.fromkeys(r["trial"] for r in plan["trials"]) if (t := trials.get(k))
         ]
         for trial in wanted:
-            kept = {name: digest for name, digest in trial.files.items() if name != STATE}
+            shown = trial.labels["material"] in pictured
+            kept = {n: d for n, d in trial.files.items() if shown and n != STATE}
             for name, digest in kept.items():
                 place = files.place(fresh, name, digest)
                 place.parent.mkdir(exist_ok=True)
                 shutil.copyfile(files.checked(source, name, digest), place)
             new.save(replace(trial, folder=fresh), old.arrays(trial.hash), kept)
         digests = {digest for trial in wanted for digest in trial.parts.values()}
-        new.note_units({d: units for d in digests if (units := old.units(d))})
-        for change in old.equivalents():
-            new.note_equivalent(*change)
+        code.note_units(new, {d: units for d in digests if (units := code.units(old, d))})
+        for change in code.equivalents(old):
+            code.note_equivalent(new, *change)
+        for (part, digest), about in code.probes(old).items():
+            if digest in digests:
+                code.save_probe(new, part, digest, *about, code.probe(old, part, digest))
         new.compact()
     shutil.copyfile(source / "suite.yaml", fresh / "suite.yaml")
     (fresh / ".lock").unlink(missing_ok=True)
@@ -59,8 +66,10 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("source", type=Path, help="a folder that harness run wrote")
     parser.add_argument("target", type=Path, help="where the copy goes")
+    parser.add_argument("--pictures", default="", help="materials whose images go along: A,B")
     arguments = parser.parse_args()
-    count = publish(arguments.source, arguments.target)
+    pictured = [name for name in arguments.pictures.split(",") if name]
+    count = publish(arguments.source, arguments.target, pictured)
     total = sum(p.stat().st_size for p in arguments.target.rglob("*") if p.is_file())
     print(f"{arguments.target}: {count} trials, {total / 1e6:.2f} MB")
 

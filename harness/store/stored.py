@@ -56,8 +56,6 @@ class Stored:
     parts: dict[str, str] = field(default_factory=dict)
     entries: dict[str, Any] = field(default_factory=dict)
     """By part that is source code: where that code begins, as ``module:name``."""
-    probes: dict[str, str] = field(default_factory=dict)
-    """By part: digest of the probe that was made when it was measured."""
     analysis: str = ""
     """Digest of the analysis that made the records of the raw outputs; "" if it cannot again."""
     state: str = ""

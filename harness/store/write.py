@@ -60,15 +60,15 @@ def _record(record: Any) -> dict[str, Any]:
     }
 
 
-def _image(image: np.ndarray) -> Any:
+def _image(image: np.ndarray) -> bytes:
     from harness.mitsuba_runtime import exr
 
-    return lambda path: exr.write(path, image)
+    return exr.encoded(image)
 
 
-def _tensors(tensors: Mapping[str, torch.Tensor]) -> Any:
-    from safetensors.torch import save_file
+def _tensors(tensors: Mapping[str, torch.Tensor]) -> bytes:
+    from safetensors.torch import save
 
     # The format wants memory that is contiguous and not shared between tensors.
     plain = {key: t.detach().cpu().contiguous().clone() for key, t in tensors.items()}
-    return lambda path: save_file(plain, path)
+    return save(plain)

@@ -1,0 +1,101 @@
+"""A trial as the bytes that the database holds, and back."""
+
+from __future__ import annotations
+
+import sqlite3
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from harness.store.packing import digest, json_bytes, pack, parsed, unpack
+from harness.store.stored import DAMAGED, LABELS, Stored
+
+_SHARED = ("trial", "environment", "documents", "entries")
+"""Entries of a trial whose values are kept once for all trials that share them."""
+_APART = ("hash", "folder", "files", "arrays", "images")
+
+
+class Texts:
+    """Plain data that many trials share: kept once, named by the digest of its JSON."""
+
+    def __init__(self, connection: sqlite3.Connection):
+        self._connection = connection
+        self._known: dict[str, Any] = {}
+
+    def put(self, data: Mapping[str, Any]) -> dict[str, str]:
+        """The values of ``data`` as digests; call it inside a transaction."""
+        found = {}
+        for key, value in data.items():
+            text = json_bytes(value)
+            found[key] = digest(text)
+            if found[key] not in self._known:
+                # What stands there under this digest may be damaged.
+                row = (found[key], pack(text))
+                self._connection.execute("INSERT OR REPLACE INTO text VALUES (?, ?)", row)
+                self._known[found[key]] = value
+        return found
+
+    def get(self, data: Mapping[str, str]) -> dict[str, Any]:
+        """What :meth:`put` was given.
+
+        Raises:
+            ValueError: a text is not what was put.
+        """
+        for kept in data.values():
+            if kept not in self._known:
+                row = self._connection.execute(
+                    "SELECT body FROM text WHERE digest = ?", (kept,)
+                ).fetchone()
+                text = unpack(row[0]) if row else b""
+                if digest(text) != kept:
+                    raise ValueError(f"the text {kept} does not match its checksum")
+                self._known[kept] = parsed(text)
+        return {key: self._known[kept] for key, kept in data.items()}
+
+
+def body_of(
+    trial: Stored, texts: Texts, arrays: Mapping[str, str], kept: Mapping[str, str]
+) -> bytes:
+    """JSON of a trial, with the digests of its ``arrays`` and of its files ``kept``."""
+    body = {
+        key: value
+        for key, value in vars(trial).items()
+        if key not in _APART and value not in ("", {}, [])
+    }
+    for key in _SHARED:
+        if key in body:
+            body[key] = texts.put(body[key])
+    whole = {**body, "trial_key": trial.hash, "arrays": dict(arrays), "files": dict(kept)}
+    return json_bytes(whole)
+
+
+def stored_of(
+    folder: Path, texts: Texts, key: str, checksum: str, packed: bytes, arrays: Mapping[str, str]
+) -> Stored:
+    """The trial of a body; of status ``damaged`` if that is not what was stored.
+
+    ``arrays`` are the digests of its arrays as the database lists them.
+    """
+    try:
+        body = unpack(packed)
+        if digest(body) != checksum:
+            raise ValueError("it does not match its checksum")
+        data = parsed(body)
+        if data.pop("trial_key") != key:
+            raise ValueError("it is another trial's")
+        if data.pop("arrays") != arrays:
+            raise ValueError("its arrays are not those that were stored")
+        for name in _SHARED:
+            if name in data:
+                data[name] = texts.get(data[name])
+        data["records"] = [_record(record) for record in data.get("records", ())]
+        return Stored(key, folder=folder, **{"reason": "", **data})
+    except (ValueError, TypeError, KeyError) as error:
+        reason = f"the stored trial {key} is damaged: {error}; harness run measures it again"
+        return Stored(key, {}, dict.fromkeys(LABELS, ""), DAMAGED, reason)
+
+
+def _record(record: dict[str, Any]) -> dict[str, Any]:
+    """Its numbers as numbers: those that are not finite are stored as text."""
+    value, low, high = record["value"], record["ci_low"], record["ci_high"]
+    return {**record, "value": float(value), "ci_low": float(low), "ci_high": float(high)}

@@ -1,0 +1,81 @@
+"""What a results folder knows of the code that measured: its functions, and what probes found."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
+from harness.store.database import explained
+from harness.store.folder import ResultsFolder
+from harness.store.packing import json_bytes, pack, unpack
+
+if TYPE_CHECKING:
+    import numpy as np
+
+
+def note_units(results: ResultsFolder, sources: Mapping[str, Mapping[str, str]]) -> None:
+    """Remember what digests of source code are made of: hashes by function, by digest."""
+    with explained(results.folder):
+        fresh = sources.keys() - {key for (key,) in results.run("SELECT digest FROM units")}
+    if fresh:
+        with results.writing():
+            for key in fresh:
+                body = pack(json_bytes(sources[key]))
+                results.run("INSERT OR REPLACE INTO units VALUES (?, ?)", key, body)
+
+
+def units(results: ResultsFolder, digest: str) -> dict[str, str]:
+    """Hashes by function of a digest of source code; empty if it is not known."""
+    with explained(results.folder):
+        row = results.run("SELECT body FROM units WHERE digest = ?", digest).fetchone()
+    try:
+        return json.loads(unpack(row[0])) if row else {}
+    except ValueError:
+        return {}  # damaged; they only explain
+
+
+def note_equivalent(results: ResultsFolder, part: str, old: str, new: str, shared: str) -> None:
+    """Remember what a probe found two versions of a part's code to share, by digest."""
+    with results.writing():
+        results.run("INSERT OR REPLACE INTO equivalent VALUES (?, ?, ?, ?)", part, old, new, shared)
+
+
+def equivalents(results: ResultsFolder) -> set[tuple[str, str, str, str]]:
+    """``(part, old digest, new digest, what they share)``; see :func:`note_equivalent`."""
+    with explained(results.folder):
+        return set(results.run("SELECT part, old, new, shared FROM equivalent"))
+
+
+def save_probe(
+    results: ResultsFolder,
+    part: str,
+    digest: str,
+    trial: str,
+    state: str,
+    arrays: Mapping[str, np.ndarray],
+) -> None:
+    """Keep the probe of a version of a part's code.
+
+    It was made with ``trial`` (a key) and the fitted ``state`` (a digest).
+    """
+    with results.writing():
+        results.run("INSERT OR REPLACE INTO probe VALUES (?, ?, ?, ?)", part, digest, trial, state)
+        results.keep_arrays(_key(part, digest), arrays)
+
+
+def probes(results: ResultsFolder) -> dict[tuple[str, str], tuple[str, str]]:
+    """``(trial, fitted state)`` of the probe of each ``(part, digest)``."""
+    with explained(results.folder):
+        rows = results.run("SELECT part, digest, trial, state FROM probe").fetchall()
+    return {(part, digest): (trial, state) for part, digest, trial, state in rows}
+
+
+def probe(results: ResultsFolder, part: str, digest: str) -> dict[str, np.ndarray]:
+    """The arrays of a probe."""
+    return results.arrays(_key(part, digest))
+
+
+def _key(part: str, digest: str) -> str:
+    """What stands for a trial where a probe's arrays are kept."""
+    return f"probe {part} {digest}"

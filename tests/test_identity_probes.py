@@ -1,0 +1,120 @@
+"""Where code changed, a probe tells whether numbers did; what it did not run, it does not judge."""
+
+from __future__ import annotations
+
+from contextlib import ExitStack
+from pathlib import Path
+
+import pytest
+
+from harness.identity.probe import Probe, difference
+from harness.mitsuba_runtime import variant
+from tests.planted_edits import CHANGING, PROBED, Edit
+
+variant.use("cpu")
+
+from tests import identity_probes, identity_trials  # noqa: E402  (they need a variant)
+from tests.test_identity_edits import changed, edited  # noqa: E402
+
+QUICK = {"render": "adapter", "walks": "material", "pdf": "material"}
+"""By trial the part whose probe is quick and concerns what is edited."""
+
+
+@pytest.fixture(scope="module")
+def tree(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return identity_trials.copy_of_tree(tmp_path_factory.mktemp("tree"))
+
+
+@pytest.fixture(scope="module")
+def now() -> dict[str, identity_probes.Told]:
+    """Probes by the tree as it is."""
+    return {f"{t}:{part}": identity_probes.probe_of(f"{t}:{part}") for t, part in QUICK.items()}
+
+
+def verdicts(now: dict, later: dict) -> dict[str, str]:
+    return {
+        name: difference(now[name][0], probe, now[name][1], units)
+        for name, (probe, units) in later.items()
+    }
+
+
+def chosen(edits: tuple[Edit, ...], file: str, old: str) -> Edit:
+    (found,) = [e for e in edits if e.file.endswith(file) and e.old.strip().startswith(old)]
+    return found
+
+
+def test_refactored_code_that_gives_the_same_numbers_keeps_them(tree, now, tmp_path):
+    edits = [
+        chosen(PROBED, "nets/lobes.py", "scale ="),
+        chosen(PROBED, "nets/lobes.py", "return _RANGE"),
+        chosen(PROBED, "families/ggx.py", "return 0.5"),
+        chosen(PROBED, "core/protocol/disk.py", "return rgb"),
+    ]
+    with ExitStack() as stack:
+        for edit in edits:
+            stack.enter_context(edited(tree, edit))
+        later = identity_probes.probes_by(tree, tmp_path / "later", now)
+    for name, (_, units) in later.items():
+        assert units != now[name][1], "the digests saw nothing"
+    assert verdicts(now, later) == dict.fromkeys(now, "")
+
+
+def test_changed_numbers_are_told(tree, now, tmp_path):
+    edits = [
+        chosen(CHANGING, "nets/lobes.py", "return _RANGE"),
+        chosen(CHANGING, "families/ggx.py", "return 0.5"),
+        chosen(CHANGING, "families/layered_walks.py", "KEPT"),
+    ]
+    with ExitStack() as stack:
+        for edit in edits:
+            stack.enter_context(edited(tree, edit))
+        later = identity_probes.probes_by(tree, tmp_path / "later", now)
+    assert set(verdicts(now, later).values()) == {"the numbers of the probe changed"}
+
+
+def test_a_probe_does_not_judge_what_it_did_not_run(now):
+    probe, units = now["render:adapter"]
+    unit = next(u for u in units if u.endswith(":MLP.columns"))
+    run, missed = probe.regions[unit]
+    assert run and missed, "a branch for GPUs is not run here"
+    edited_units = {**units, unit: "0"}
+    # A text that is only in the branch: the numbers agree, and tell nothing.
+    there = Probe(
+        probe.arrays, probe.work, {**probe.regions, unit: (run, missed | {"new"})}, probe.tried
+    )
+    assert "MLP.columns" in difference(probe, there, units, edited_units)
+    ran = Probe(
+        probe.arrays, probe.work, {**probe.regions, unit: (run | {"new"}, missed)}, probe.tried
+    )
+    assert difference(probe, ran, units, edited_units) == ""
+    # Gone from the branch: then it is the old probe that has not run it.
+    gone = {**probe.regions, unit: (run, frozenset())}
+    less = Probe(probe.arrays, probe.work, gone, probe.tried)
+    assert "MLP.columns" in difference(probe, less, units, edited_units)
+
+
+def test_a_time_needs_the_same_work(now):
+    probe, units = now["walks:material"]
+    other = Probe(probe.arrays, "other", probe.regions, probe.tried)
+    assert difference(probe, other, units, units) == ""
+    assert difference(probe, other, units, units, timed=True) == "the work that is timed changed"
+
+
+def test_a_probe_is_the_same_after_it_was_stored(now):
+    probe, units = now["walks:material"]
+    again = Probe.unpacked(probe.packed())
+    assert (again.work, again.tried) == (probe.work, probe.tried)
+    assert dict(again.regions) == dict(probe.regions)
+    assert difference(probe, again, units, units, timed=True) == ""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("edit", CHANGING, ids=lambda e: f"{e.file}:{e.old[:20]}")
+def test_no_changed_number_passes_a_probe(edit, tree, tmp_path):
+    before = identity_trials.digests_of(tree, [edit.trial])
+    with edited(tree, edit):
+        parts = [text.partition(": ")[2] for text in changed(before, tree, [edit.trial])]
+        asked = [f"{edit.trial}:{part}" for part in parts]
+        later = identity_probes.probes_by(tree, tmp_path / "later", asked)
+    earlier = identity_probes.probes_by(tree, tmp_path / "earlier", asked)
+    assert any(verdicts(earlier, later).values())
