@@ -72,7 +72,7 @@ def test_a_page_holds_no_element_of_its_names(tmp_path: Path, name: str):
         materials=[name], methods=["cosine", name], scenes=(name,), measures=("equal-time",),
         title=name, fail={(None, name, None): ("error", name)},
     )  # fmt: skip
-    loaded = reports.Report.of(made.write(tmp_path))
+    loaded = reports.load(made.write(tmp_path))
     drawn = Drawn(tmp_path / f"{name.replace('/', '')}.png", [], name, name, 1, 1)
     text = page(Page(loaded.results, [*loaded.tables, table(name)], [drawn], [name]))
     parsed = Parsed(text)

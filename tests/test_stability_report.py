@@ -163,7 +163,7 @@ def test_cells_tell_pass_degraded_fail_and_no_answer(folder: Path):
     assert found["specular", "tabulated"].text == "tail 1.25"
     failed = found["untrained", "histogram"]
     assert (failed.text, failed.value, failed.shade) == ("FAIL", 2.0, "fail")
-    assert failed.warning.endswith("samples-pdf of it; worst input: wo (0.6, 0.8), got nan")
+    assert failed.warning.endswith("samples-pdf of it; worst input: got nan, wo (0.6, 0.8)")
     assert found["specular", "native"].missing == "unsupported: no sampler of its own"
     assert found["constant", "cosine"].missing == "unsupported: not today"
     # One of two seeds had an answer.
@@ -189,7 +189,7 @@ def test_every_format_tells_them_apart(folder: Path):
     for shade, count in (("pass", 10), ("degraded", 3), ("fail", 2)):
         summary = sum(bool(c.shade == shade) for r in table.sections[0].rows for c in r.cells)
         assert page.count(f'<td class="{shade}">') == count + summary
-    assert '<th scope=row title="what &lt;grazing&gt; is">grazing</th>' in page
+    assert '<th scope="row" title="what &lt;grazing&gt; is">grazing</th>' in page
     assert "FAIL ‡" in markdown(table)
     assert r"FAIL$^{\ddagger" in latex(table) and "†" not in latex(table)
     rows = list(csv.DictReader(io.StringIO(as_csv(table))))
