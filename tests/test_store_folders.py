@@ -84,9 +84,7 @@ def test_results_of_another_kind(
 
 
 @pytest.mark.parametrize("name", ["holiday.jpg", "files", "suite.yaml", ".hidden"])
-def test_a_folder_with_other_things(
-    tmp_path: Path, name: str, capsys: pytest.CaptureFixture[str]
-):
+def test_a_folder_with_other_things(tmp_path: Path, name: str, capsys: pytest.CaptureFixture[str]):
     suite, folder = fakes.suite(tmp_path / "suite"), tmp_path / "out"
     folder.mkdir()
     (folder / name).write_text("mine")

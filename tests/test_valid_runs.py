@@ -75,8 +75,7 @@ def test_what_changes_no_number_in_an_adapter_measures_nothing(tmp_path: Path):
     go(tmp_path)
     edit(tmp_path, '"""Uniform on the disk."""', '"""Uniform."""\n    # a remark\n')
     edit(tmp_path, "class NoMethod:", "def unused():\n    return 3\n\n\nclass NoMethod:")
-    edit(tmp_path, "def pdf(self, condition, wo):\n        return torch.full((len(wo),)",
-         "def pdf(self, condition, wo):\n        return torch.full(\n            (len(wo),)")  # fmt: skip
+    edit(tmp_path, "return torch.full((len(wo),)", "return torch.full(\n            (len(wo),)")
     probed, said = go(tmp_path, again=True)
     assert (probed, "4 trials, all stored" in said) == ([], True), said
 
@@ -86,7 +85,8 @@ def test_one_method_that_changed_leaves_the_others_alone(tmp_path: Path):
     edit(tmp_path, "* self.scale", "* self.scale * 2")
     probed, said = go(tmp_path, again=True)
     assert probed == ["with-state"]
-    assert "adapters.py: Named.fit)" in said and "2 to do (1 of them fits)" in said
+    assert "adapters.py: Named.fit)" in said
+    assert "1 to do (1 of them fits), 1 more if a fit comes out different" in said
 
 
 def test_a_refit_that_gives_the_same_state_leaves_what_was_measured_with_it(tmp_path: Path):
@@ -104,7 +104,7 @@ def test_a_refit_that_gives_the_same_state_leaves_what_was_measured_with_it(tmp_
 
 def test_a_file_that_params_name_counts_by_its_content(tmp_path: Path):
     given = tmp_path / "scale.json"
-    adapter = "\n\nclass Filed(Good):\n    def __init__(self, file: str):\n        self.file = file\n"
+    adapter = "\n\nclass Filed(Good):\n    def __init__(self, file):\n        self.file = file\n"
     methods = ["adapters.py:Good", {"name": "adapters.py:Filed", "params": {"file": str(given)}}]
     given.write_text("1")
 
@@ -231,9 +231,7 @@ def test_status_of_what_is_valid_and_missing(tmp_path: Path, capsys: pytest.Capt
     assert "holds no results, and no folder in it does" in capsys.readouterr().err
 
 
-def test_status_of_what_is_stale_names_the_part(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-):
+def test_status_of_what_is_stale_names_the_part(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     go(tmp_path)
     edit(tmp_path, "torch.full((len(wo),), 1 / math.pi)", "torch.full((len(wo),), 2 / math.pi)")
     make_plan(load(tmp_path / "suite.yaml"))
@@ -283,4 +281,4 @@ def test_a_frame_of_stale_results_says_so_in_tables(tmp_path: Path):
     results = Results.load(tmp_path / "out")
     assert set(results.frame["status"]) == {"stale"}
     shown = results.number("probe", "mean-pdf", "fake-a", "Good")
-    assert isinstance(shown, str) and shown.startswith("stale: ")
+    assert not isinstance(shown, str) and shown.note == "stale: the measure changed"
