@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from harness.analysis import numbers
 from harness.analysis.bias import LEVEL, MEASURE, Key, corrected_p
-from harness.analysis.combine import Estimate
 from harness.analysis.results import MethodColumn, Results
 from harness.report.table import Cell, Row, Section, Table
 from harness.report.tables.common import circumstances
@@ -64,9 +63,21 @@ def _cell(
     if isinstance(raw, str):
         return Cell(missing=raw, ceiling=method.ceiling)
     p = corrected[(material, method.label, scene)]
-    z = results.number(MEASURE, "bias-z", material, method.label, scene)
     warning = ""
     if p < LEVEL:
-        size = f", z = {numbers.plain(z.value, 1)}" if isinstance(z, Estimate) else ""
-        warning = f"biased: {method.label} on {material}{size}"
+        said = _score(results, material, method.label, scene)
+        warning = f"biased: {method.label} on {material}{said}"
     return Cell(p, text=numbers.p_value(p), warning=warning, ceiling=method.ceiling)
+
+
+def _score(results: Results, material: str, method: str, scene: str) -> str:
+    """The score of the very test whose p-value the cell has: of its seed, not a mean of seeds."""
+    rows = results.frame
+    rows = rows[(rows["measure"] == MEASURE) & (rows["material"] == material)]
+    rows = rows[(rows["method"] == method) & (rows["scene"] == scene)]
+    metrics = rows.pivot_table(index="seed", columns="metric", values="value")
+    if "bias-z" not in metrics.columns:
+        return ""
+    seed = metrics["bias-p"].idxmin()
+    of_seed = f" (seed {seed} of {len(metrics)})" if len(metrics) > 1 else ""
+    return f", z = {numbers.plain(metrics['bias-z'][seed], 1)}{of_seed}"
