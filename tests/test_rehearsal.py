@@ -37,7 +37,7 @@ def written(tmp_path):
 def test_a_good_suite(written, capsys):
     """With a scene that has no name, and a transform in a dictionary."""
     assert main(["validate", written()]) == 0
-    assert "4 trials" in capsys.readouterr().out
+    assert "3 trials" in capsys.readouterr().out
 
 
 def test_all_mistakes_are_listed(written, capsys, tmp_path):
@@ -54,6 +54,16 @@ def test_all_mistakes_are_listed(written, capsys, tmp_path):
     for said in ("difuse", "reflects nothing", "did you mean 'scale'", "'wdth'", "icosahedron"):
         assert sum(said in line for line in lines) == 1, (said, lines)
     assert len(lines) == 5 and all(line.startswith(f"error: {file}: ") for line in lines)
+
+
+def test_a_material_that_cannot_be_seen(written, capsys, tmp_path):
+    """A sphere that shows its back, which is black: one line instead of an empty picture."""
+    file = written()
+    room = tmp_path / "room.xml"
+    flipped = '<shape type="sphere"><boolean name="flip_normals" value="true"/>'
+    room.write_text(room.read_text().replace('<shape type="sphere">', flipped))
+    assert main(["validate", file]) == 2
+    assert "no camera ray meets the material" in capsys.readouterr().err
 
 
 def test_a_run_names_the_first(written, capsys, tmp_path):

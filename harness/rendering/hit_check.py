@@ -52,6 +52,12 @@ def check(scene: mi.Scene, placed: Any) -> None:
     )
 
 
+def is_seen(scene: mi.Scene, placed: Any) -> bool:
+    """Whether any camera ray meets ``placed`` from a side that reflects."""
+    si, active = next(_hits(scene, placed))
+    return bool(np.any(np.array(active & (placed.facing(si)[0].wi.z > 0))))
+
+
 def _hits(scene: mi.Scene, placed: Any) -> Any:
     """Points of the BSDF that the camera sees, and points that are seen from any of those."""
     sampler = mi.load_dict({"type": "independent"})

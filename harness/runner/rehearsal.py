@@ -107,13 +107,17 @@ def _rendered(scene: Any, material: Material) -> None:
     from harness.effects.offer import offer
     from harness.effects.registry import is_auto
     from harness.effects.variants import full
+    from harness.rendering.hit_check import is_seen
     from harness.rendering.prepared import prepare
 
     method = registry.make("cosine")
     method.bind(material)
     if is_auto(scene.effects):
         scene = replace(scene, effects=full(offer(scene, material)))
-    prepare(scene, material, method, SIDE).render(1, 0)
+    ready = prepare(scene, material, method, SIDE)
+    if not is_seen(ready.scene, ready.bsdf):
+        raise InputError("no camera ray meets the material from a side that reflects")
+    ready.render(1, 0)
 
 
 def _grey() -> Material:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from harness.analysis import numbers
-from harness.analysis.bias import LEVEL, MEASURE, Key, corrected_p
+from harness.analysis.bias import LEVEL, MEASURE, Key, corrected_p, deciding_test
 from harness.analysis.results import MethodColumn, Results
 from harness.report.table import Cell, Row, Section, Table
 from harness.report.tables.common import circumstances
@@ -65,19 +65,15 @@ def _cell(
     p = corrected[(material, method.label, scene)]
     warning = ""
     if p < LEVEL:
-        said = _score(results, material, method.label, scene)
+        said = _said(results, material, method.label, scene)
         warning = f"biased: {method.label} on {material}{said}"
     return Cell(p, text=numbers.p_value(p), warning=warning, ceiling=method.ceiling)
 
 
-def _score(results: Results, material: str, method: str, scene: str) -> str:
-    """The score of the very test whose p-value the cell has: of its seed, not a mean of seeds."""
-    rows = results.frame
-    rows = rows[(rows["measure"] == MEASURE) & (rows["material"] == material)]
-    rows = rows[(rows["method"] == method) & (rows["scene"] == scene)]
-    metrics = rows.pivot_table(index="seed", columns="metric", values="value")
-    if "bias-z" not in metrics.columns:
+def _said(results: Results, material: str, method: str, scene: str) -> str:
+    """The score of the very test whose p-value the cell has."""
+    found = deciding_test(results, material, method, scene)
+    if found is None:
         return ""
-    seed = metrics["bias-p"].idxmin()
-    of_seed = f" (seed {seed} of {len(metrics)})" if len(metrics) > 1 else ""
-    return f", z = {numbers.plain(metrics['bias-z'][seed], 1)}{of_seed}"
+    of_seed = f" (seed {found.seed}, of {found.seeds})" if found.seeds > 1 else ""
+    return f", z = {numbers.plain(found.z, 1)}{of_seed}"
