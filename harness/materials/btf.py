@@ -67,8 +67,8 @@ class BtfMaterial(Material):
     def why_no_gradient(self) -> str:
         """See :meth:`Material.why_no_gradient`."""
         return (
-            f"material '{self.name}' gives no gradient of f: it interpolates measured tables outside"
-            " of torch and Dr.Jit"
+            f"material '{self.name}' gives no gradient of f: it interpolates measured tables"
+            " outside of torch and Dr.Jit"
         )
 
     def target_gradient(self, condition: Tensor, wo: Tensor) -> tuple[Tensor, Tensor]:
