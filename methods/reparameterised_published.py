@@ -18,7 +18,7 @@ from harness.core.protocol.material import Material
 from harness.core.protocol.method import Budget, FitReport, Knob
 from harness.fitting.map_degree import MapReport, examine
 from harness.fitting.module_method import ModuleMethod
-from harness.fitting.reverse import Pool, normal_of_uniforms, stratified_uniforms, target_of
+from harness.fitting.reverse import LEAST, Pool, normal_of_uniforms, stratified_uniforms, target_of
 from harness.fitting.train import minimise
 from harness.nets import hemisphere
 from harness.nets.coupling import unit_normal_columns
@@ -28,8 +28,6 @@ from harness.nets.silu import SiluMLP
 
 BLEND = 1e-3
 """alpha: the share of the fixed map in what is maximised."""
-LEAST = 1e-14
-"""Added to f before its logarithm, as the authors do: nothing has no logarithm."""
 EXAMINED = 32
 """Conditions in which a state is examined."""
 TOLERATED = 1e-3

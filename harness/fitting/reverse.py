@@ -24,6 +24,8 @@ from harness.core.protocol.errors import InputError
 from harness.core.protocol.material import Material
 from harness.core.protocol.method import Budget
 
+LEAST = 1e-14
+"""Added to f before its logarithm, as the authors do: nothing has no logarithm."""
 LOOKED = 64
 """Directions at which a condition has to be black to count as black."""
 

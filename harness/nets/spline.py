@@ -163,8 +163,11 @@ def unwarp(raw: Tensor, y: Tensor) -> Tensor:
     )
 
 
-def _find_columns(raw: Columns, value: Float, axis: int) -> Bin:
-    """:func:`_find` by walking over the bins, keeping the last that begins at or before."""
+def _find_columns(raw: Columns, value: Float, axis: int | Bool) -> Bin:
+    """:func:`_find` by walking over the bins, keeping the last that begins at or before.
+
+    ``axis`` may be a mask: of x where it is false, of y where it is true.
+    """
     bins = (len(raw) + 1) // 3
     share = 2 - 2 * MINIMUM * bins
     steps = []
@@ -189,13 +192,17 @@ def _find_columns(raw: Columns, value: Float, axis: int) -> Bin:
         for k in range(bins - 1, half, -1):
             down.append(down[-1] - size[k])
         knots.append(up + down[::-1])
+    if isinstance(axis, int):
+        along = knots[axis]
+    else:
+        along = [dr.select(axis, y, x) for x, y in zip(*knots, strict=True)]
     slopes = [type(value)(0), *raw[2 * bins :], type(value)(0)]
     found = [knots[0][0], knots[0][1], knots[1][0], knots[1][1], slopes[0], slopes[1]]
     anchor = -type(value)(1)
     below, above = value + 1, value - 1
     for k in range(1, bins):
         left = k <= half
-        reached = knots[axis][k] <= (below if left else above)
+        reached = along[k] <= (below if left else above)
         # The middle bin begins on one side and ends on the other.
         shift = 2 if k == half else 0
         here = [knots[0][k], knots[0][k + 1] + shift, knots[1][k], knots[1][k + 1] + shift]
@@ -218,6 +225,13 @@ def unwarp_columns(raw: Columns, y: Float) -> tuple[Float, Bin]:
     """``x``, the inverse, and the bin it is in."""
     b = _find_columns(raw, y, 1)
     return dr.select(dr.abs(y) < 1, _solve(b, y, dr.clip, dr.sqrt, dr.select), y), b
+
+
+def unwarp_or_keep_columns(raw: Columns, y: Float, x: Float, keep: Bool) -> tuple[Float, Bin]:
+    """:func:`unwarp_columns` of ``y``, but ``x`` itself and its bin where ``keep``."""
+    b = _find_columns(raw, dr.select(keep, x, y), ~keep)
+    solved = dr.select(dr.abs(y) < 1, _solve(b, y, dr.clip, dr.sqrt, dr.select), y)
+    return dr.select(keep, x, solved), b
 
 
 def evaluate_columns(b: Bin, x: Float) -> tuple[Float, Float]:
