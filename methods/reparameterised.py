@@ -207,14 +207,13 @@ class Reparameterised(FlowMethod):
     def _to_line(self, numbers: Tensor, line: Tensor, at: Tensor) -> tuple[Tensor, Tensor]:
         """z [B, D] of a coordinate, and the log slope; ``line`` is log scale and shift."""
         log_scale, n = lobes.log_sigma(line[..., 0]), spline.outputs(self.bins)
-        raw = numbers[..., :n].expand(*at.shape, n)
-        z, slope = spline.warp(raw, (at - line[..., 1]) * torch.exp(-log_scale) / BOUND)
+        z, slope = spline.warp(numbers[..., :n], (at - line[..., 1]) * torch.exp(-log_scale) / BOUND)
         return z * BOUND, slope - log_scale
 
     def _from_line(self, numbers: Tensor, line: Tensor, z: Tensor) -> Tensor:
         """The coordinate [B, D] of z."""
         n = spline.outputs(self.bins)
-        bent = spline.unwarp(numbers[..., :n].expand(*z.shape, n), z / BOUND)
+        bent = spline.unwarp(numbers[..., :n], z / BOUND)
         return line[..., 1] + torch.exp(lobes.log_sigma(line[..., 0])) * BOUND * bent
 
     # --- sampling ----------------------------------------------------------------------

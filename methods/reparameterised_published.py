@@ -28,7 +28,7 @@ from harness.nets.silu import SiluMLP
 
 BLEND = 1e-3
 """alpha: the share of the fixed map in what is maximised."""
-EXAMINED = 32
+EXAMINED = 16
 """Conditions in which a state is examined."""
 TOLERATED = 1e-3
 """Share of p* that a certified map may miss or repeat: the rim, which no z reaches."""

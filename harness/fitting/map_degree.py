@@ -20,8 +20,9 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from harness.core.protocol.errors import InputError
 from harness.core.protocol.material import Material
-from harness.fitting.targets import cells, tabulate
+from harness.fitting.targets import cells
 
 FURTHEST = math.sqrt(2 * 24 * math.log(2))
 """5.77: the radius of a normal point whose first uniform is the largest below one."""
@@ -60,24 +61,33 @@ def examine(
     *,
     samples: int = 1024,
     points: int = 512,
-    resolution: int = 48,
+    resolution: int = 32,
 ) -> MapReport:
     """Look at ``map_`` in the conditions [B, C]; black ones say nothing and are left out.
 
     ``samples`` normal points a condition for the folds; the circle has ``points`` corners, and
-    the degree is found at the centres of ``resolution``^2 cells of equal area.
+    the degree is found at one random point in each of ``resolution``^2 cells of equal area.
+
+    Raises:
+        InputError: the material is black in all of the conditions.
     """
-    mass = tabulate(material, condition, resolution).flatten(1).double()
+    at = cells(resolution, torch.rand(len(condition), resolution**2, 2, generator=generator))
+    at = at.to(condition)
+    mass = material.target_grid(condition, at).double()
     lit = mass.sum(1) > 0
-    condition, mass = condition[lit], mass[lit]
+    if not lit.any():
+        raise InputError(
+            f"material '{material.name}' is black in all {len(condition)} conditions looked at;"
+            " expected light to be reflected in some"
+        )
+    condition, mass, at = condition[lit], mass[lit], at[lit]
     mass = mass / mass.sum(1, keepdim=True)
     z = torch.randn(len(condition), samples, 2, generator=generator).to(condition)
     folded = float((map_(condition, z)[1] < 0).double().mean())
     turn = torch.arange(points, device=condition.device) * (2 * math.pi / points)
     circle = FURTHEST * torch.stack([turn.cos(), turn.sin()], -1)
     image, _ = map_(condition, circle.to(condition).expand(len(condition), -1, -1))
-    at = cells(resolution, device=str(condition.device))
-    degree = torch.stack([winding(one, at) for one in image]).double()
+    degree = torch.stack([winding(*pair) for pair in zip(image, at, strict=True)]).double()
     off = (mass * (degree - 1)).sum(1)
     return MapReport(
         folded,

@@ -11,8 +11,8 @@ of (-1, 1), y then any of the chord's: a bijection of the plane onto the open di
 
 :math:`\delta` is found without a difference of squares near one, so the density at the rim is as
 exact as the rounded direction lets it be. The base is logistic: :math:`z = \log\frac{u}{1 - u}` of
-a uniform u has the density u (1 - u). A logistic tail stretched by s falls like a power of 1 - \|x\|,
-the (1 / s - 1)-th, and not faster, as a Gaussian's would.
+a uniform u has the density u (1 - u). A logistic tail stretched by s falls like a power of the
+distance from the end, the (1 / s - 1)-th, and not faster, as a Gaussian's would.
 """
 
 from __future__ import annotations

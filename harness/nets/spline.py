@@ -90,7 +90,10 @@ def _summation(bins: int, like: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def _find(raw: Tensor, value: Tensor, axis: int) -> Bin:
-    """The bin of ``value`` [...] by its knots on one axis: 0 for x, 1 for y."""
+    """The bin of ``value`` [...] by its knots on one axis: 0 for x, 1 for y.
+
+    ``raw`` may have axes of length one where all values share a spline.
+    """
     bins = (raw.shape[-1] + 1) // 3
     half = bins // 2
     matrix, constant = _summation(bins, raw)
@@ -101,11 +104,15 @@ def _find(raw: Tensor, value: Tensor, axis: int) -> Bin:
     k = (inner[..., 1 : half + 1] <= at + 1).sum(-1, keepdim=True)
     k = k + (inner[..., half + 1 : bins] <= at - 1).sum(-1, keepdim=True)
     pair = torch.cat([k, k + 1], -1)
+
+    def wide(numbers: Tensor) -> Tensor:
+        return numbers.expand(*value.shape, -1)
+
     (x0, x1), (y0, y1) = (
         (a, b + torch.where(k[..., 0] == half, 2, 0))
-        for a, b in (knots[..., i, :].gather(-1, pair).unbind(-1) for i in (0, 1))
+        for a, b in (wide(knots[..., i, :]).gather(-1, pair).unbind(-1) for i in (0, 1))
     )
-    slopes = torch.nn.functional.pad(raw[..., 2 * bins :], (1, 1)).gather(-1, pair)
+    slopes = wide(torch.nn.functional.pad(raw[..., 2 * bins :], (1, 1))).gather(-1, pair)
     anchor = torch.where(k[..., 0] > half, 1, -1)
     return Bin(anchor, x0, x1, y0, y1, *derivative(slopes).unbind(-1))
 
