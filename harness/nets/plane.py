@@ -88,13 +88,14 @@ def a_columns(x: Float) -> Float:
 
 def chord_columns(x: Float) -> Float:
     """Half the disk's height at ``x``; one where there is no disk."""
-    squared = (1 - x) * (1 + x)
+    squared = dr.fma(-x, x, 1)
     return dr.sqrt(dr.select(squared > 0, squared, 1))
 
 
 def b_columns(x: Float, y: Float) -> tuple[Float, Float]:
     """The second coordinate, and |d(a, b) / d(x, y)|; zero, the latter, on the rim and beyond."""
-    squared = (1 - x) * (1 + x)
+    # Each rounded once, and in every kernel alike.
+    squared = dr.fma(-x, x, 1)
     rest = dr.fma(-y, y, squared)
     # A nan compares with nothing, and has to come out as one.
     outside = (rest <= 0) | (squared <= 0)
