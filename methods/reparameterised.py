@@ -207,7 +207,9 @@ class Reparameterised(FlowMethod):
     def _to_line(self, numbers: Tensor, line: Tensor, at: Tensor) -> tuple[Tensor, Tensor]:
         """z [B, D] of a coordinate, and the log slope; ``line`` is log scale and shift."""
         log_scale, n = lobes.log_sigma(line[..., 0]), spline.outputs(self.bins)
-        z, slope = spline.warp(numbers[..., :n], (at - line[..., 1]) * torch.exp(-log_scale) / BOUND)
+        z, slope = spline.warp(
+            numbers[..., :n], (at - line[..., 1]) * torch.exp(-log_scale) / BOUND
+        )
         return z * BOUND, slope - log_scale
 
     def _from_line(self, numbers: Tensor, line: Tensor, z: Tensor) -> Tensor:
@@ -228,14 +230,14 @@ class Reparameterised(FlowMethod):
         there = defensive.uniform_disk_columns(u)
         line = lobes.log_sigma_columns(one[n]), one[n + 2]
         x, bin_x = self._draw(one, line, u[0], plane.a_columns(there[0]), elsewhere)
-        x = dr.select(elsewhere, there[0], plane.xy_columns(x))
+        x = dr.select(elsewhere, there[0], plane.x_columns(x))
         z, slope = self._back(bin_x, line, plane.a_columns(x))
         base, rank = plane.logistic_pdf_columns(z)
         two = net.columns_given_x(x, rank, encoded)
         line = lobes.log_sigma_columns(two[n] + one[n + 1]), two[n + 1] + one[n + 3]
         there_b, _ = plane.b_columns(*there)
         b, bin_y = self._draw(two, line, u[1], there_b, elsewhere)
-        y = dr.select(elsewhere, there[1], plane.xy_columns(b) * plane.chord_columns(x))
+        y = dr.select(elsewhere, there[1], plane.y_columns(b, plane.chord_columns(x)))
         b, density = plane.b_columns(x, y)
         z, slope_2 = self._back(bin_y, line, b)
         density = density * base * slope * slope_2 * plane.logistic_pdf_columns(z)[0]

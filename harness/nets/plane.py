@@ -106,6 +106,12 @@ def b_columns(x: Float, y: Float) -> tuple[Float, Float]:
     return dr.select(outside, 0, b), dr.select(outside, 0, 4 / (chord * rest))
 
 
-def xy_columns(a: Float) -> Float:
-    """tanh(a / 2): x of its coordinate, or y over the chord."""
+def x_columns(a: Float) -> Float:
+    """x of its coordinate; -1 or 1, on the rim, where no number is nearer."""
     return dr.tanh(0.5 * a)
+
+
+def y_columns(b: Float, chord: Float) -> Float:
+    """y of its coordinate; -1 or 1, off the disk, where the rim is nearer than any number."""
+    t = dr.tanh(0.5 * b)
+    return dr.select(dr.abs(t) == 1, t, t * chord)
