@@ -1,0 +1,104 @@
+"""The networks of a conditional flow of the projected disk: encoder, base and velocity."""
+
+from __future__ import annotations
+
+import drjit as dr
+import torch
+from torch import Tensor, nn
+
+from harness.core.columns.bridge import Columns
+from harness.core.protocol.material import Material
+from harness.nets import defensive, domains
+from harness.nets.discrete_flow import ROUNDS, DiscreteFlow
+from harness.nets.encoding import ConditionEncoder
+from harness.nets.mixture_base import Mixture, MixtureBase
+from harness.nets.velocity import Velocity
+
+_FEATURES = 8.0
+
+
+class ConditionalFlow(nn.Module):
+    r"""Condition -> base; base point, time and condition -> velocity, in one of the domains.
+
+    Features are seen as :math:`8 \tanh(f / 8)` of their standardised values: a material's own hardly
+    change, and values that no fit has met do not blow up a velocity.
+
+    The uniform ``share`` (with ``own_share`` a condition's own, from there up to one) is part of the
+    base in the domain ``plane``, where the standard normal is the uniform disk; elsewhere it is
+    mixed with the density on the disk.
+    """
+
+    def __init__(
+        self,
+        material: Material,
+        *,
+        base: str = "normal",
+        base_width: int = 32,
+        domain: str = "disk",
+        width: int = 64,
+        layers: int = 5,
+        activation: str = "silu",
+        frequencies: int = 5,
+        share: float = 0.0,
+        own_share: bool = False,
+    ):
+        super().__init__()
+        self.encoder = ConditionEncoder(material.n_address, material.n_features, frequencies)
+        self.domain, self.share, self.own_share = domain, share, own_share
+        inside = domain == "plane"
+        self.base = MixtureBase(
+            base,
+            self.encoder.width,
+            base_width,
+            share,
+            own_share,
+            mixed=inside,
+            wide=1.0 if inside else 0.5,
+        )
+        self.velocity = Velocity(self.encoder.width, width, layers, activation)
+
+    def encode(self, condition: Tensor) -> Tensor:
+        """What the networks see, [B, E]."""
+        encoded, n = self.encoder(condition), self.encoder.n_features
+        features = _FEATURES * torch.tanh(encoded[:, :n] / _FEATURES)
+        return torch.cat([features, encoded[:, n:]], 1)
+
+    def encode_columns(self, c: Columns) -> Columns:
+        """The same over columns."""
+        encoded, n = self.encoder.columns(c), self.encoder.n_features
+        return [_FEATURES * dr.tanh(v * (1 / _FEATURES)) for v in encoded[:n]] + encoded[n:]
+
+    def from_disk(self, wo: Tensor) -> tuple[Tensor, Tensor]:
+        """See :func:`harness.nets.domains.from_disk`."""
+        return domains.from_disk(self.domain, wo)
+
+    def draw(self, base: Mixture, count: int, generator: torch.Generator) -> Tensor:
+        """Samples [B, count, 2] of a base; by the generator's own, on whatever device."""
+        z = torch.randn(len(base.mean), count, 2, generator=generator, dtype=base.mean.dtype)
+        pick = torch.rand(len(base.mean), count, generator=generator)
+        return base.place(z.to(base.mean.device), pick.to(base.mean.device))
+
+    def log_prob(
+        self, flow: DiscreteFlow, condition: Tensor, wo: Tensor, rounds: int = ROUNDS
+    ) -> tuple[Tensor, Tensor]:
+        """Log density [B, D] at ``wo`` [B, D, 2] of the samples of ``flow``, and where it was found.
+
+        Differentiable; without gradients wanted, by the plain inverse.
+        """
+        encoded = self.encode(condition)
+        base, shared = self.base(encoded), self.velocity.shared(encoded)
+        place, log_slope = self.from_disk(wo)
+        if torch.is_grad_enabled():
+            origin = flow.origin(place, shared, rounds)
+        else:
+            origin = flow.invert(place, shared)
+        log_prob = base.log_prob(origin.x) - origin.log_det + log_slope
+        return self.mixed(log_prob, wo, base), origin.found
+
+    def mixed(self, log_prob: Tensor, wo: Tensor, base: Mixture) -> Tensor:
+        """With the uniform share, where the base does not have it."""
+        if self.domain == "plane":
+            return log_prob
+        if base.raw_share is not None:
+            return defensive.log_mixed_logit(log_prob, wo, base.raw_share, self.share)
+        return defensive.log_mixed(log_prob, wo, self.share)

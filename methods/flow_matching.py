@@ -1,0 +1,356 @@
+"""Flow matching: a velocity field carries a simple base to the directions, in few or many steps."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any, ClassVar
+
+import drjit as dr
+import torch
+from torch import Tensor, nn
+
+from harness.core.columns.bridge import Columns, Float
+from harness.core.columns.method import ColumnMethod
+from harness.core.protocol.disk import inside_disk
+from harness.core.protocol.errors import InputError, StateRefused, nearest
+from harness.core.protocol.material import Material
+from harness.core.protocol.method import Budget, FitReport, Knob
+from harness.fitting import flow_matching as losses
+from harness.fitting.steady import ROWS, STEADY, UNIT, SteadyMethod
+from harness.fitting.targets import Targets
+from harness.fitting.train import minimise
+from harness.nets import defensive, discrete_flow_columns, domains
+from harness.nets.activations import ACTIVATIONS
+from harness.nets.conditional_flow import ConditionalFlow
+from harness.nets.coupling import uniforms_of_normal, unit_normal_columns
+from harness.nets.discrete_flow import DiscreteFlow, solve
+from harness.nets.extremes import FAR, held
+from harness.nets.mixture_base import BASES
+from harness.nets.solvers import SOLVERS
+
+TRAININGS = ("matching", "likelihood")
+
+
+class FlowMatching(SteadyMethod, ColumnMethod):
+    r"""Flow matching with the exact density of its few steps: PureSample, sections 5.1 and 6.3.
+
+    A network u(x, t, condition) moves a sample of the base to the direction in S steps of Euler's
+    method (or ``midpoint``, ``rk4``),
+
+    .. math:: x_{k+1} = x_k + \tfrac{1}{S}\,u(x_k, \tfrac{k}{S}), \qquad
+              p(\omega) = p_0(x_0) \prod_k \left|\det \frac{\partial x_{k+1}}{\partial x_k}\right|^{-1}
+
+    As published: ``base`` the standard normal, the disk's own coordinates, five hidden layers of 64,
+    the regression of eq. 3 (``training="matching"``), and ten steps after one ``reflow``. The
+    density is not the published one, which steps back along other points and is that of no sampler
+    (``flow-matching-published`` has it), but the discrete map's own: :meth:`sample` multiplies the
+    determinants on its way, :meth:`pdf` inverts each step (:mod:`harness.nets.discrete_flow`).
+
+    Ours: ``base="gaussian"`` or ``"lobes"`` with a network of their own (Fu et al. 2024 have the
+    first); ``domain="plane"``, where the uniform disk *is* the standard normal, or ``"square"``
+    (:mod:`harness.nets.domains`); base points and directions paired within a batch (``pairing``);
+    ``training="likelihood"``, which maximises the density of the S steps themselves, after a fit by
+    matching where there is a ``reflow``. ``budget.steps`` is shared evenly among matching, each
+    reflow and likelihood.
+
+    A share ``uniform`` of the samples is uniform on the disk, with ``lambertian`` a condition's own
+    share from there up to one. In ``plane`` it is part of the base and costs nothing; elsewhere a
+    sample of it has its density by :meth:`pdf`'s way, at a step's inverse each.
+
+    States whose steps are not one to one, or that single precision cannot follow, are refused. Uses
+    three uniforms. Per disk area.
+    """
+
+    name = "flow-matching"
+    uniforms = 3
+    origin = "its base point"
+    learning_rate = 5e-3
+    weight_decay = 0.0
+
+    knobs: ClassVar[tuple[Knob, ...]] = (
+        Knob("steps", (1, 2, 4, 10, 50), "steps from the base to the direction"),
+        Knob("solver", tuple(SOLVERS), "evaluations a step: one, two or four"),
+        Knob("width", (16, 32, 64), "neurons of a hidden layer"),
+        Knob("layers", (2, 3, 5), "hidden layers"),
+        Knob("reflow", (0, 1, 2), "times that it is fitted to its own pairs"),
+        Knob("budget.steps", (100, 300, 1000, 3000), "optimiser steps"),
+    )
+
+    module: ConditionalFlow
+
+    def __init__(
+        self,
+        steps: int = 10,
+        solver: str = "euler",
+        base: str = "normal",
+        domain: str = "disk",
+        width: int = 64,
+        layers: int = 5,
+        activation: str = "silu",
+        training: str = "matching",
+        reflow: int = 1,
+        pairing: bool = False,
+        uniform: float = 0.01,
+        lambertian: bool = False,
+        base_width: int = 32,
+        frequencies: int = 5,
+    ):
+        for key, value, known in (
+            ("solver", solver, SOLVERS),
+            ("base", base, BASES),
+            ("domain", domain, domains.DOMAINS),
+            ("activation", activation, ACTIVATIONS),
+            ("training", training, TRAININGS),
+        ):
+            if value not in known:
+                raise InputError(f"{self.name}: {key} is '{value}'{nearest(str(value), known)}")
+        if min(steps, width, layers, base_width) < 1 or reflow < 0:
+            raise InputError(
+                f"{self.name}: expected at least one of steps, width, layers and base_width and no"
+                f" negative reflow, not {steps}, {width}, {layers}, {base_width} and {reflow}"
+            )
+        self.steps, self.solver, self.training, self.reflow = steps, solver, training, reflow
+        self.pairing, self.domain = pairing, domain
+        self.uniform = defensive.checked_share(uniform, self.name)
+        self.shape: dict[str, Any] = {
+            "base": base,
+            "base_width": base_width,
+            "domain": domain,
+            "width": width,
+            "layers": layers,
+            "activation": activation,
+            "frequencies": frequencies,
+            "share": self.uniform,
+            "own_share": lambertian,
+        }
+
+    def build(self, material: Material) -> ConditionalFlow:
+        """See :meth:`ModuleMethod.build`."""
+        return ConditionalFlow(material, **self.shape)
+
+    def flow(self, net: ConditionalFlow | None = None) -> DiscreteFlow:
+        """The steps through the velocity of ``net``, by default the fitted one."""
+        return DiscreteFlow((net or self.module).velocity, self.steps, self.solver)
+
+    # --- fitting -----------------------------------------------------------------------
+
+    def fit(self, material: Material, budget: Budget, generator: torch.Generator) -> FitReport:
+        """See :meth:`Method.fit`.
+
+        Raises:
+            StateRefused: a step is not one to one, or moves too much for single precision.
+        """
+        self.material = material
+        seed = int(torch.randint(1 << 62, (), generator=generator))
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(seed)
+            self.module = self.build(material)
+        targets = Targets.build(material, budget, generator)
+        self.prepare(targets)
+        phases = self.phases()
+        reports = []
+        for i, phase in enumerate(phases):
+            # The first takes what does not divide evenly.
+            steps = budget.steps // len(phases) + (budget.steps % len(phases) if i == 0 else 0)
+            part = replace(budget, steps=steps)
+            loss = self._loss_of(phase, targets, part, generator)
+            reports.append(
+                minimise(
+                    self.module,
+                    loss,
+                    targets,
+                    part,
+                    learning_rate=self.learning_rate,
+                    weight_decay=self.weight_decay,
+                )
+            )
+        self.refuse_unsteady()
+        return _joined(reports, phases)
+
+    def phases(self) -> list[str]:
+        """What a fit does, in order."""
+        if self.training == "likelihood" and not self.reflow:
+            return ["likelihood"]
+        last = ["likelihood"] if self.training == "likelihood" else []
+        return ["matching", *["reflow"] * self.reflow, *last]
+
+    def _loss_of(
+        self, phase: str, targets: Targets, budget: Budget, generator: torch.Generator
+    ) -> Callable[[], Tensor]:
+        net = self.module
+        if phase == "matching":
+            return lambda: losses.matching_loss(net, targets, budget, generator, self.pairing)
+        if phase == "likelihood":
+            return lambda: losses.likelihood_loss(
+                net, self.steps, self.solver, targets, budget, generator
+            )
+        pairs: list[losses.Pairs] = []
+
+        def loss() -> Tensor:
+            if not pairs:  # made inside the fit, so that their time counts
+                pairs.append(losses.Pairs.of(net, targets.condition, generator))
+            return pairs[0].loss(net, budget, generator)
+
+        return loss
+
+    def log_prob(self, condition: Tensor, wo: Tensor) -> Tensor:
+        """Log density [B, D]."""
+        return self._log_prob(self.module, condition, wo)
+
+    def _log_prob(self, net: ConditionalFlow, condition: Tensor, wo: Tensor) -> Tensor:
+        return net.log_prob(self.flow(net), condition, wo)[0]
+
+    # --- whether the state can be run --------------------------------------------------
+
+    def refuse_unsteady(self) -> None:
+        """:class:`StateRefused` if a step is not one to one, or any sample is moved."""
+        folded, moved = self._measured()
+        if folded:
+            raise StateRefused(
+                f"{self.name}: state refused: in {folded:.2%} of the samples a step is not one to"
+                f" one (its determinant is not positive; {self.steps} {self.solver} steps), so that"
+                " the density would not be that of what is drawn; expected none",
+                folded,
+            )
+        if moved:
+            raise StateRefused(
+                f"{self.name}: state refused: in {moved:.2%} of the samples the rounding of the"
+                f" direction moves {self.origin} by more than {STEADY:.1g} deviations, so that the"
+                " density would not be that of what is drawn; expected none",
+                moved,
+            )
+
+    def unsteady(self) -> float:
+        """Share of samples at which a step folds, or whose base point moves when wo is rounded."""
+        return max(self._measured())
+
+    @torch.no_grad()
+    def _measured(self) -> tuple[float, float]:
+        """Share of ``ROWS`` samples with a determinant that is not positive, and of moved ones.
+
+        A fold has samples on its back: where a map covers a direction twice and is proper, a
+        determinant is negative somewhere above it, and the share of samples there says how much.
+        The movement is what the map's inverse Jacobian makes of the rounding of wo, in deviations
+        of the base; samples off the disk do not count.
+        """
+        if self.material is None:
+            raise RuntimeError(f"{self.name}: used before fit or bind")
+        net = copy.deepcopy(self.module).double()
+        generator = torch.Generator().manual_seed(0)
+        device = next(net.parameters()).device
+        condition = self.material.conditions(ROWS, generator, str(device)).double()
+        encoded = net.encode(condition)
+        base = net.base(encoded)
+        x0 = net.draw(base, 1, generator)
+        moved = self.flow(net).forward(x0, net.velocity.shared(encoded))
+        folded = ~(moved.least > 0)[:, 0]
+        wo = domains.to_disk(self.domain, moved.x)
+        narrowest = torch.exp(base.log_sigma[:, -1:].amin(-1))
+        far = torch.zeros_like(folded)
+        for step in UNIT * torch.eye(2, dtype=wo.dtype, device=device):
+            away = domains.from_disk(self.domain, wo + step)[0] - moved.x
+            # Off the disk in ``plane`` there is no place, and no such sample either.
+            back = solve(moved.jacobian, away).abs().amax(-1) / narrowest
+            far |= (back > STEADY)[:, 0]
+        far &= inside_disk(wo[:, 0])
+        return float(folded.double().mean()), float(far.double().mean())
+
+    # --- what lets a check look deeper -------------------------------------------------
+
+    @torch.no_grad()
+    def inverse(self, condition: Tensor, wo: Tensor) -> Tensor | None:
+        """See :meth:`Method.inverse`: of the one lobe's branch, in double; None for a mixture."""
+        if self.shape["base"] == "lobes" or self.shape["own_share"]:
+            return None
+        net = copy.deepcopy(self.module).double()
+        encoded = net.encode(condition.double())
+        base, place = net.base(encoded), domains.from_disk(self.domain, wo[:, None].double())[0]
+        origin = self.flow(net).invert(place, net.velocity.shared(encoded)).x[:, 0]
+        z = (origin - base.mean[:, -1]) * torch.exp(-base.log_sigma[:, -1])
+        u = uniforms_of_normal(z)
+        # The middle of what is not the uniform share's.
+        return torch.cat([u, torch.full_like(u[:, :1], (1 + self.uniform) / 2)], 1)
+
+    def extremes(self) -> dict[str, dict[str, Tensor]]:
+        """See :meth:`Method.extremes`: the base's Gaussians at their narrowest and widest."""
+        net = self.module.base
+        if not net.lobes:
+            return {}
+        last, n = f"base.net.layers.{len(net.net.layers) - 1}", net.lobes
+        return {
+            name: held(self.state_dict(), last, slice(2 * n, 4 * n), raw)
+            for name, raw in (("scale-to-0", -FAR), ("scale-to-infinity", FAR))
+        }
+
+    # --- sampling ----------------------------------------------------------------------
+
+    def sample_columns(self, c: Columns, u: Columns) -> tuple[Float, Float, Float]:
+        """See :meth:`ColumnMethod.sample_columns`.
+
+        The rounding of the direction, which near the rim moves its place in the plane, is taken
+        back to the base by the map's Jacobian: the density is the one at the rounded direction.
+        """
+        net, flow = self.module, self.flow()
+        encoded = net.encode_columns(c)
+        base, shared = net.base.columns(encoded), net.velocity.shared_columns(encoded)
+        elsewhere, pick = self._outside(base, u)
+        x0 = base.place(unit_normal_columns(u), pick)
+        moved = discrete_flow_columns.forward(flow, x0, shared)
+        wo = domains.to_disk_columns(self.domain, moved.x)
+        if elsewhere is not None:
+            there = defensive.uniform_disk_columns(u)
+            wo = [dr.select(elsewhere, a, b) for a, b in zip(there, wo, strict=True)]
+        place, slope = domains.from_disk_columns(self.domain, wo)
+        away = [a - b for a, b in zip(place, moved.x, strict=True)]
+        shift = discrete_flow_columns.solve(moved.jacobian, away)
+        origin, det = [a + b for a, b in zip(x0, shift, strict=True)], moved.det
+        if elsewhere is not None:
+            other = discrete_flow_columns.invert(flow, place, shared, elsewhere)
+            det = dr.select(elsewhere, other.det, det)
+            origin = [dr.select(elsewhere, a, b) for a, b in zip(other.x, origin, strict=True)]
+        return *wo, self._mixed(base.pdf(origin) * (slope / dr.abs(det)), wo, base)
+
+    def pdf_columns(self, c: Columns, wo: Columns) -> Float:
+        """See :meth:`ColumnMethod.pdf_columns`; not a number where no origin was found."""
+        net = self.module
+        encoded = net.encode_columns(c)
+        base, shared = net.base.columns(encoded), net.velocity.shared_columns(encoded)
+        place, slope = domains.from_disk_columns(self.domain, wo)
+        origin = self.origin_columns(place, shared)
+        pdf = base.pdf(origin.x) * (slope / dr.abs(origin.det))
+        # Where there is no place there is no sample, and nothing to be found.
+        pdf = dr.select(origin.found | (slope == 0), pdf, dr.nan)
+        return self._mixed(pdf, wo, base)
+
+    def origin_columns(self, place: Columns, shared: Columns) -> Any:
+        """Where ``place`` comes from, for :meth:`pdf_columns`."""
+        return discrete_flow_columns.invert(self.flow(), place, shared)
+
+    def _outside(self, base: Any, u: Columns) -> tuple[Any, Float]:
+        """Which rows are the uniform share's beside the flow (None: no such share), and the uniform
+        that picks a lobe in the others."""
+        share = base.share
+        if self.domain == "plane" or (isinstance(share, float) and share == 0):
+            return None, u[2]
+        return u[2] < share, (u[2] - share) / (1 - share)
+
+    def _mixed(self, pdf: Float, wo: Columns, base: Any) -> Float:
+        return pdf if self.domain == "plane" else defensive.mixed_columns(pdf, wo, base.share)
+
+
+def _joined(reports: list[FitReport], phases: list[str]) -> FitReport:
+    """One report of all phases."""
+    whole = FitReport(
+        steps=sum(r.steps for r in reports),
+        parameters=reports[-1].parameters,
+        data_seconds=reports[0].data_seconds,
+        optimise_seconds=sum(r.optimise_seconds for r in reports),
+        loss=[value for r in reports for value in r.loss],
+        part_seconds=reports[0].part_seconds if len(reports) == 1 else [],
+    )
+    spent = [f"{p} {r.optimise_seconds:.1f} s" for p, r in zip(phases, reports, strict=True)]
+    notes = [", ".join(spent)] if len(reports) > 1 else []
+    whole.notes = "; ".join([*notes, *filter(None, [reports[0].notes])])
+    return whole
