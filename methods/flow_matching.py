@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 
 import drjit as dr
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from harness.core.columns.bridge import Columns, Float
 from harness.core.columns.method import ColumnMethod
@@ -18,6 +18,7 @@ from harness.core.protocol.errors import InputError, StateRefused, nearest
 from harness.core.protocol.material import Material
 from harness.core.protocol.method import Budget, FitReport, Knob
 from harness.fitting import flow_matching as losses
+from harness.fitting.precision import PRECISIONS, checked_precision, round_weights
 from harness.fitting.steady import ROWS, STEADY, UNIT, SteadyMethod
 from harness.fitting.targets import Targets
 from harness.fitting.train import minimise
@@ -27,7 +28,7 @@ from harness.nets.conditional_flow import ConditionalFlow
 from harness.nets.coupling import uniforms_of_normal, unit_normal_columns
 from harness.nets.discrete_flow import DiscreteFlow, solve
 from harness.nets.extremes import FAR, held
-from harness.nets.mixture_base import BASES
+from harness.nets.mixture_base import BASES, ColumnMixture
 from harness.nets.solvers import SOLVERS
 
 TRAININGS = ("matching", "likelihood")
@@ -40,13 +41,15 @@ class FlowMatching(SteadyMethod, ColumnMethod):
     method (or ``midpoint``, ``rk4``),
 
     .. math:: x_{k+1} = x_k + \tfrac{1}{S}\,u(x_k, \tfrac{k}{S}), \qquad
-              p(\omega) = p_0(x_0) \prod_k \left|\det \frac{\partial x_{k+1}}{\partial x_k}\right|^{-1}
+              p(\omega) = p_0(x_0) \prod_k
+              \left|\det \frac{\partial x_{k+1}}{\partial x_k}\right|^{-1}
 
-    As published: ``base`` the standard normal, the disk's own coordinates, five hidden layers of 64,
-    the regression of eq. 3 (``training="matching"``), and ten steps after one ``reflow``. The
-    density is not the published one, which steps back along other points and is that of no sampler
-    (``flow-matching-published`` has it), but the discrete map's own: :meth:`sample` multiplies the
-    determinants on its way, :meth:`pdf` inverts each step (:mod:`harness.nets.discrete_flow`).
+    As published: ``base`` the standard normal, the disk's own coordinates, five hidden layers of
+    64, the regression of eq. 3 (``training="matching"``), and ten steps after one ``reflow``. The
+    density is not the published one, which steps back along other points and is that of no
+    sampler (``flow-matching-published`` has it), but the discrete map's own: :meth:`sample`
+    multiplies the determinants on its way, :meth:`pdf` inverts each step
+    (:mod:`harness.nets.discrete_flow`).
 
     Ours: ``base="gaussian"`` or ``"lobes"`` with a network of their own (Fu et al. 2024 have the
     first); ``domain="plane"``, where the uniform disk *is* the standard normal, or ``"square"``
@@ -70,11 +73,12 @@ class FlowMatching(SteadyMethod, ColumnMethod):
     weight_decay = 0.0
 
     knobs: ClassVar[tuple[Knob, ...]] = (
-        Knob("steps", (1, 2, 4, 10, 50), "steps from the base to the direction"),
+        Knob("steps", (2, 4, 10, 50), "steps from the base to the direction"),
         Knob("solver", tuple(SOLVERS), "evaluations a step: one, two or four"),
         Knob("width", (16, 32, 64), "neurons of a hidden layer"),
         Knob("layers", (2, 3, 5), "hidden layers"),
         Knob("reflow", (0, 1, 2), "times that it is fitted to its own pairs"),
+        Knob("precision", PRECISIONS, "of the weights: bytes on disk, no time"),
         Knob("budget.steps", (100, 300, 1000, 3000), "optimiser steps"),
     )
 
@@ -96,6 +100,7 @@ class FlowMatching(SteadyMethod, ColumnMethod):
         lambertian: bool = False,
         base_width: int = 32,
         frequencies: int = 5,
+        precision: str = "float32",
     ):
         for key, value, known in (
             ("solver", solver, SOLVERS),
@@ -114,6 +119,7 @@ class FlowMatching(SteadyMethod, ColumnMethod):
         self.steps, self.solver, self.training, self.reflow = steps, solver, training, reflow
         self.pairing, self.domain = pairing, domain
         self.uniform = defensive.checked_share(uniform, self.name)
+        self.precision = checked_precision(precision, self.name)
         self.shape: dict[str, Any] = {
             "base": base,
             "base_width": base_width,
@@ -166,6 +172,7 @@ class FlowMatching(SteadyMethod, ColumnMethod):
                     weight_decay=self.weight_decay,
                 )
             )
+        round_weights(self.module, self.precision)
         self.refuse_unsteady()
         return _joined(reports, phases)
 
@@ -317,6 +324,9 @@ class FlowMatching(SteadyMethod, ColumnMethod):
         net = self.module
         encoded = net.encode_columns(c)
         base, shared = net.base.columns(encoded), net.velocity.shared_columns(encoded)
+        return self._density(base, shared, wo)
+
+    def _density(self, base: ColumnMixture, shared: Columns, wo: Columns) -> Float:
         place, slope = domains.from_disk_columns(self.domain, wo)
         origin = self.origin_columns(place, shared)
         pdf = base.pdf(origin.x) * (slope / dr.abs(origin.det))
@@ -328,7 +338,7 @@ class FlowMatching(SteadyMethod, ColumnMethod):
         """Where ``place`` comes from, for :meth:`pdf_columns`."""
         return discrete_flow_columns.invert(self.flow(), place, shared)
 
-    def _outside(self, base: Any, u: Columns) -> tuple[Any, Float]:
+    def _outside(self, base: ColumnMixture, u: Columns) -> tuple[Any, Float]:
         """Which rows are the uniform share's beside the flow (None: no such share), and the uniform
         that picks a lobe in the others."""
         share = base.share
@@ -336,7 +346,7 @@ class FlowMatching(SteadyMethod, ColumnMethod):
             return None, u[2]
         return u[2] < share, (u[2] - share) / (1 - share)
 
-    def _mixed(self, pdf: Float, wo: Columns, base: Any) -> Float:
+    def _mixed(self, pdf: Float, wo: Columns, base: ColumnMixture) -> Float:
         return pdf if self.domain == "plane" else defensive.mixed_columns(pdf, wo, base.share)
 
 

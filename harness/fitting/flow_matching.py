@@ -95,9 +95,7 @@ class Pairs:
     def loss(self, net: ConditionalFlow, budget: Budget, generator: torch.Generator) -> Tensor:
         """Matching on a batch of the pairs."""
         row = torch.randint(len(self.condition), (budget.conditions,), generator=generator)
-        which = torch.randint(
-            PAIRS, (budget.conditions, budget.directions, 1), generator=generator
-        )
+        which = torch.randint(PAIRS, (budget.conditions, budget.directions, 1), generator=generator)
         row = row.to(self.condition.device)
         which = which.to(row.device).expand(-1, -1, 2)
         x0, x1 = self.x0[row].gather(1, which), self.x1[row].gather(1, which)

@@ -20,12 +20,14 @@ _FEATURES = 8.0
 class ConditionalFlow(nn.Module):
     r"""Condition -> base; base point, time and condition -> velocity, in one of the domains.
 
-    Features are seen as :math:`8 \tanh(f / 8)` of their standardised values: a material's own hardly
-    change, and values that no fit has met do not blow up a velocity.
+    Features are seen as :math:`8 \tanh(f / 8)` of their standardised values: a material's own
+    hardly change, and values that no fit has met do not blow up a velocity.
 
-    The uniform ``share`` (with ``own_share`` a condition's own, from there up to one) is part of the
-    base in the domain ``plane``, where the standard normal is the uniform disk; elsewhere it is
-    mixed with the density on the disk.
+    The uniform ``share`` (with ``own_share`` a condition's own, from there up to one) is part of
+    the base in the domain ``plane``, where the standard normal is the uniform disk; elsewhere it
+    is mixed with the density on the disk.
+
+    ``bounded`` keeps log sigmas and the places that the velocity sees within bounds, see there.
     """
 
     def __init__(
@@ -41,6 +43,8 @@ class ConditionalFlow(nn.Module):
         frequencies: int = 5,
         share: float = 0.0,
         own_share: bool = False,
+        bounded: bool = True,
+        base_activation: str = "leaky_relu",
     ):
         super().__init__()
         self.encoder = ConditionEncoder(material.n_address, material.n_features, frequencies)
@@ -54,8 +58,10 @@ class ConditionalFlow(nn.Module):
             own_share,
             mixed=inside,
             wide=1.0 if inside else 0.5,
+            activation=base_activation,
+            bounded=bounded,
         )
-        self.velocity = Velocity(self.encoder.width, width, layers, activation)
+        self.velocity = Velocity(self.encoder.width, width, layers, activation, bounded)
 
     def encode(self, condition: Tensor) -> Tensor:
         """What the networks see, [B, E]."""
@@ -81,7 +87,7 @@ class ConditionalFlow(nn.Module):
     def log_prob(
         self, flow: DiscreteFlow, condition: Tensor, wo: Tensor, rounds: int = ROUNDS
     ) -> tuple[Tensor, Tensor]:
-        """Log density [B, D] at ``wo`` [B, D, 2] of the samples of ``flow``, and where it was found.
+        """Log density [B, D] of the samples of ``flow`` at ``wo`` [B, D, 2]; where it was found.
 
         Differentiable; without gradients wanted, by the plain inverse.
         """

@@ -98,6 +98,18 @@ def forward(flow: DiscreteFlow, x: Columns, shared: Columns) -> ColumnMoved:
     return ColumnMoved([x, y], det, tuple(whole))
 
 
+def endpoint(flow: DiscreteFlow, x: Columns, shared: Columns) -> Columns:
+    """Where ``x`` leads, without a density."""
+    array = type(shared[0])
+
+    def body(k: Any, x: Float, y: Float) -> tuple:
+        return k + 1, *one(flow, [x, y], k, shared)
+
+    start = dr.uint32_array_t(array)(0), *(array(v) for v in x)
+    _, x, y = _loop(start, lambda k, *rest: k < flow.steps, body, "flow")
+    return [x, y]
+
+
 def backward(flow: DiscreteFlow, x: Columns, shared: Columns) -> ColumnOrigin:
     """**Not** the inverse: see :meth:`DiscreteFlow.backward`; ``det`` of the map it goes back."""
     array = type(shared[0])
@@ -112,9 +124,7 @@ def backward(flow: DiscreteFlow, x: Columns, shared: Columns) -> ColumnOrigin:
     return ColumnOrigin([x, y], det, dr.mask_t(array)(True))
 
 
-def invert(
-    flow: DiscreteFlow, x: Columns, shared: Columns, active: Any = True
-) -> ColumnOrigin:
+def invert(flow: DiscreteFlow, x: Columns, shared: Columns, active: Any = True) -> ColumnOrigin:
     """The start of what ends in ``x``, by Newton's method, step after step; and whether found.
 
     As :meth:`DiscreteFlow.invert`. Rows that are not ``active`` stay where they are, and packets of
@@ -164,8 +174,7 @@ def _invert_one(
         x, y, *matrix, rx, ry = kept
         newton = solve(tuple(matrix), [rx, ry])
         dx, dy = (
-            dr.select(better, new, 0.5 * old)
-            for new, old in zip(newton, [dx, dy], strict=True)
+            dr.select(better, new, 0.5 * old) for new, old in zip(newton, [dx, dy], strict=True)
         )
         return i + 1, x, y, dx, dy, dr.select(better, away, left), *matrix, rx, ry
 

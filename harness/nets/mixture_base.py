@@ -2,8 +2,8 @@ r"""What a flow of the plane starts from: Gaussians whose parameters a condition
 
 ``normal``: the standard normal, whatever the condition. ``gaussian``: one axis-aligned Gaussian,
 its mean and log standard deviations from a network. ``lobes``: two of them and their weights.
-Beside any of these a *share* s of the standard normal, fixed or a condition's own, if it is *mixed*;
-otherwise the network gives the share for others to use.
+Beside any of these a *share* s of the standard normal, fixed or a condition's own, if it is
+*mixed*; otherwise the network gives the share for others to use.
 
 .. math:: p_0(x) = s\,\mathcal{N}(x; 0, 1)
           + (1 - s) \sum_l w_l\,\mathcal{N}(x; \mu_l, \sigma_l)
@@ -49,7 +49,7 @@ class Mixture(NamedTuple):
 
 
 class ColumnMixture(NamedTuple):
-    """The same over columns; a lobe's mean and log sigma are pairs, ``share`` is the share itself."""
+    """The same over columns; a lobe's mean and log sigma are pairs, ``share`` no logit."""
 
     weight: Columns
     mean: list[tuple[Float, Float]]
@@ -72,8 +72,9 @@ class ColumnMixture(NamedTuple):
         for weight, mean, log_sigma in zip(self.weight, self.mean, self.log_sigma, strict=True):
             here = [dr.fma(v, dr.exp(s), m) for v, m, s in zip(z, mean, log_sigma, strict=True)]
             # Weights sum to one but for rounding: whatever is left belongs to the last lobe.
-            x = here if x is None else [dr.select(pick >= end, a, b) for a, b in zip(here, x)]
-            end = end + weight
+            if x is not None:
+                here = [dr.select(pick >= end, a, b) for a, b in zip(here, x, strict=True)]
+            x, end = here, end + weight
         return x
 
 
@@ -82,8 +83,9 @@ class MixtureBase(nn.Module):
 
     ``share`` is the least weight of the standard normal; ``own_share`` has the network give it,
     from there up to one. Outputs: means, log sigmas, logits of two lobes, logit of the share.
-    ``mixed`` says whether the base itself has it. ``wide`` is the standard deviation to start from. Log sigmas are kept within 10 by
-    :func:`harness.nets.lobes.log_sigma` unless ``bounded`` is false.
+    ``mixed`` says whether the base itself has it. ``wide`` is the standard deviation to start
+    from. Log sigmas are kept within 10 by :func:`harness.nets.lobes.log_sigma` unless ``bounded``
+    is false.
     """
 
     def __init__(

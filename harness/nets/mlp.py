@@ -19,8 +19,8 @@ class MLP(nn.Module):
     """Fully connected layers of the given widths, linear at the end.
 
     ``MLP([30, 32, 32, 5])`` maps [..., 30] to [..., 5] through two hidden layers of 32.
-    ``activation`` is one of :data:`harness.nets.activations.ACTIVATIONS`. :meth:`columns` runs the same
-    network over Dr.Jit columns with cooperative vectors.
+    ``activation`` is one of :data:`harness.nets.activations.ACTIVATIONS`. :meth:`columns` runs
+    the same network over Dr.Jit columns with cooperative vectors.
 
     Example:
         >>> net = MLP([4, 32, 2])
