@@ -13,20 +13,21 @@ from torch import Tensor
 
 from harness.core.columns.bridge import Columns, Float
 from harness.core.columns.method import ColumnMethod
-from harness.core.protocol.disk import inside_disk
 from harness.core.protocol.errors import InputError, StateRefused, nearest
 from harness.core.protocol.material import Material
 from harness.core.protocol.method import Budget, FitReport, Knob
 from harness.fitting import flow_matching as losses
+from harness.fitting.flow_in_torch import FlowInTorch
+from harness.fitting.flow_steadiness import Steadiness, steadiness
 from harness.fitting.precision import PRECISIONS, checked_precision, round_weights
-from harness.fitting.steady import ROWS, STEADY, UNIT, SteadyMethod
+from harness.fitting.steady import SteadyMethod
 from harness.fitting.targets import Targets
 from harness.fitting.train import minimise
 from harness.nets import defensive, discrete_flow_columns, domains
 from harness.nets.activations import ACTIVATIONS
 from harness.nets.conditional_flow import ConditionalFlow
 from harness.nets.coupling import uniforms_of_normal, unit_normal_columns
-from harness.nets.discrete_flow import DiscreteFlow, solve
+from harness.nets.discrete_flow import DiscreteFlow
 from harness.nets.extremes import FAR, held
 from harness.nets.mixture_base import BASES, ColumnMixture
 from harness.nets.solvers import SOLVERS
@@ -211,58 +212,28 @@ class FlowMatching(SteadyMethod, ColumnMethod):
 
     # --- whether the state can be run --------------------------------------------------
 
-    def refuse_unsteady(self) -> None:
-        """:class:`StateRefused` if a step is not one to one, or any sample is moved."""
-        folded, moved = self._measured()
-        if folded:
-            raise StateRefused(
-                f"{self.name}: state refused: in {folded:.2%} of the samples a step is not one to"
-                f" one (its determinant is not positive; {self.steps} {self.solver} steps), so that"
-                " the density would not be that of what is drawn; expected none",
-                folded,
-            )
-        if moved:
-            raise StateRefused(
-                f"{self.name}: state refused: in {moved:.2%} of the samples the rounding of the"
-                f" direction moves {self.origin} by more than {STEADY:.1g} deviations, so that the"
-                " density would not be that of what is drawn; expected none",
-                moved,
-            )
+    def measured(self) -> Steadiness:
+        """Shares of samples that fold, and that rounding moves: see there."""
+        if self.material is None:
+            raise RuntimeError(f"{self.name}: used before fit or bind")
+        return steadiness(self.module, self.flow(), self.material)
 
     def unsteady(self) -> float:
         """Share of samples at which a step folds, or whose base point moves when wo is rounded."""
-        return max(self._measured())
+        return max(self.measured())
 
-    @torch.no_grad()
-    def _measured(self) -> tuple[float, float]:
-        """Share of ``ROWS`` samples with a determinant that is not positive, and of moved ones.
-
-        A fold has samples on its back: where a map covers a direction twice and is proper, a
-        determinant is negative somewhere above it, and the share of samples there says how much.
-        The movement is what the map's inverse Jacobian makes of the rounding of wo, in deviations
-        of the base; samples off the disk do not count.
-        """
-        if self.material is None:
-            raise RuntimeError(f"{self.name}: used before fit or bind")
-        net = copy.deepcopy(self.module).double()
-        generator = torch.Generator().manual_seed(0)
-        device = next(net.parameters()).device
-        condition = self.material.conditions(ROWS, generator, str(device)).double()
-        encoded = net.encode(condition)
-        base = net.base(encoded)
-        x0 = net.draw(base, 1, generator)
-        moved = self.flow(net).forward(x0, net.velocity.shared(encoded))
-        folded = ~(moved.least > 0)[:, 0]
-        wo = domains.to_disk(self.domain, moved.x)
-        narrowest = torch.exp(base.log_sigma[:, -1:].amin(-1))
-        far = torch.zeros_like(folded)
-        for step in UNIT * torch.eye(2, dtype=wo.dtype, device=device):
-            away = domains.from_disk(self.domain, wo + step)[0] - moved.x
-            # Off the disk in ``plane`` there is no place, and no such sample either.
-            back = solve(moved.jacobian, away).abs().amax(-1) / narrowest
-            far |= (back > STEADY)[:, 0]
-        far &= inside_disk(wo[:, 0])
-        return float(folded.double().mean()), float(far.double().mean())
+    def refuse_unsteady(self) -> None:
+        """:class:`StateRefused` if a step is not one to one, or any sample is moved."""
+        found = self.measured()
+        if found.folded:
+            raise StateRefused(
+                f"{self.name}: state refused: in {found.folded:.2%} of the samples one of the"
+                f" {self.steps} {self.solver} steps is not one to one (its determinant is not"
+                " positive), so that the density would not be that of what is drawn; expected none",
+                found.folded,
+            )
+        if found.moved:
+            raise self.moved_by_rounding(found.moved)
 
     # --- what lets a check look deeper -------------------------------------------------
 
@@ -290,6 +261,10 @@ class FlowMatching(SteadyMethod, ColumnMethod):
             name: held(self.state_dict(), last, slice(2 * n, 4 * n), raw)
             for name, raw in (("scale-to-0", -FAR), ("scale-to-infinity", FAR))
         }
+
+    def in_torch(self) -> FlowInTorch:
+        """The same sampler by torch, for timings beside it."""
+        return FlowInTorch(self, self.flow())
 
     # --- sampling ----------------------------------------------------------------------
 

@@ -97,7 +97,7 @@ class FlowMatchingFu2024(FlowMatchingPublished):
         self.module = self.build(material).eval()
         base, velocity = (_tensors(file) for file in self._files(material))
         self.load_state_dict(_converted(self.module, base, velocity, self._files(material)))
-        folded, _ = self._measured()
+        folded = self.measured().folded
         return FitReport(notes=f"{self.weights}: read, not fitted; {folded:.2%} of samples folded")
 
 

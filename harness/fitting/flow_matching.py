@@ -137,7 +137,7 @@ def likelihood_loss(
     log_prob, found = net.log_prob(flow, condition, wo, ROUNDS)
     share = found.to(log_prob.dtype).mean()
     loss = -torch.where(found, log_prob, 0).mean() / share.clamp(min=0.5)
-    few = max(1, wo.shape[1] // 4)
+    few = max(1, wo.shape[1] // 8)
     x, folds = net.draw(net.base(encoded), few, generator).detach(), 0.0
     for k in range(steps):
         x, *tangents = flow.one_dual(x, k, shared)

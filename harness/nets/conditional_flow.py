@@ -101,6 +101,14 @@ class ConditionalFlow(nn.Module):
         log_prob = base.log_prob(origin.x) - origin.log_det + log_slope
         return self.mixed(log_prob, wo, base), origin.found
 
+    def outer_share(self, base: Mixture) -> Tensor | float:
+        """The uniform share [B] beside the base, where the base does not have it: else zero."""
+        if self.domain == "plane":
+            return 0.0
+        if base.raw_share is None:
+            return self.share
+        return self.share + (1 - self.share) * torch.sigmoid(base.raw_share[:, 0])
+
     def mixed(self, log_prob: Tensor, wo: Tensor, base: Mixture) -> Tensor:
         """With the uniform share, where the base does not have it."""
         if self.domain == "plane":

@@ -25,6 +25,8 @@ from harness.nets.velocity import Velocity
 
 ROUNDS = 24
 """Of Newton's method, halvings of its steps among them."""
+_COARSE = 1e-3
+"""Error of a step's end, relative to the places, from which two steps of Newton's are exact."""
 
 
 class Moved(NamedTuple):
@@ -146,14 +148,14 @@ class DiscreteFlow:
 
     @torch.no_grad()
     def invert_one(
-        self, y: Tensor, k: int, shared: Tensor, rounds: int = ROUNDS
+        self, y: Tensor, k: int, shared: Tensor, rounds: int = ROUNDS, tolerance: float = 0.0
     ) -> tuple[Tensor, Tensor, Tensor]:
         """The ``x`` of T_k(x) = ``y``, the step's derivatives there, and whether it was found.
 
         Begins where the explicit step back leads. A step of Newton's that does not come nearer is
         halved; as long as the determinant is not zero, a small enough one does.
         """
-        tolerance = 64 * torch.finfo(y.dtype).eps
+        tolerance = tolerance or 64 * torch.finfo(y.dtype).eps
         x = self.one(y, k, shared, back=True)
         out = self.one_dual(x, k, shared)
         scale = y.abs().amax(-1) + x.abs().amax(-1) + 1
@@ -179,12 +181,13 @@ class DiscreteFlow:
         """:meth:`invert` with gradients, for fits.
 
         A step's inverse is differentiated where it is found, by the implicit function theorem: one
-        more step of Newton's from there, its matrix held, has the derivatives that the inverse has.
+        more step of Newton's from there, its matrix held, has the derivatives that the inverse has,
+        and squares what is left of the error: ``_COARSE`` is near enough to begin with.
         """
         log_det = torch.zeros_like(x[..., 0])
         found = torch.ones_like(log_det, dtype=torch.bool)
         for k in range(self.steps - 1, -1, -1):
-            at, along, converged = self.invert_one(x, k, shared, rounds)
+            at, along, converged = self.invert_one(x, k, shared, rounds, _COARSE)
             x = at - solve(along, self.one(at, k, shared) - x)
             det = determinant(self.one_dual(x, k, shared)[1:])
             # Where nothing was found there is nothing to learn from, and no logarithm to take.

@@ -34,6 +34,10 @@ class Mixture(NamedTuple):
     log_sigma: Tensor
     raw_share: Tensor | None = None
 
+    def rows(self, index: Tensor) -> Mixture:
+        """Those of some conditions."""
+        return Mixture(*(None if part is None else part[index] for part in self))
+
     def log_prob(self, x: Tensor) -> Tensor:
         """Log density [B, D] at ``x`` [B, D, 2]."""
         z = (x[:, :, None] - self.mean[:, None]) * torch.exp(-self.log_sigma)[:, None]
