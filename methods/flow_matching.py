@@ -213,18 +213,24 @@ class FlowMatching(SteadyMethod, ColumnMethod):
     # --- whether the state can be run --------------------------------------------------
 
     def measured(self) -> Steadiness:
-        """Shares of samples that fold, and that rounding moves: see there."""
+        """Shares of samples that are no numbers, that fold, and that rounding moves: see there."""
         if self.material is None:
             raise RuntimeError(f"{self.name}: used before fit or bind")
         return steadiness(self.module, self.flow(), self.material)
 
     def unsteady(self) -> float:
-        """Share of samples at which a step folds, or whose base point moves when wo is rounded."""
+        """The largest of the shares that are :meth:`measured`."""
         return max(self.measured())
 
     def refuse_unsteady(self) -> None:
-        """:class:`StateRefused` if a step is not one to one, or any sample is moved."""
+        """:class:`StateRefused` if a sample is no number, folded, or moved."""
         found = self.measured()
+        if found.broken:
+            raise StateRefused(
+                f"{self.name}: state refused: {found.broken:.2%} of the samples are no numbers: the"
+                " velocity or its base is not finite; expected none",
+                found.broken,
+            )
         if found.folded:
             raise StateRefused(
                 f"{self.name}: state refused: in {found.folded:.2%} of the samples one of the"

@@ -12,7 +12,7 @@ from torch import Tensor
 from harness.core.columns.bridge import Columns
 from harness.core.protocol.errors import InputError, nearest
 from harness.core.protocol.material import Material
-from harness.core.protocol.method import Budget, FitReport
+from harness.core.protocol.method import Budget, FitReport, Knob
 from harness.nets.conditional_flow import ConditionalFlow
 from methods.flow_matching import FlowMatching
 from methods.flow_matching_published import FlowMatchingPublished
@@ -38,7 +38,8 @@ class FlowMatchingFu2024(FlowMatchingPublished):
     """
 
     name = "flow-matching-fu2024"
-    knobs = ()
+    accumulated = True
+    knobs = (Knob("steps", (2, 4, 8, 16), "Euler steps; the networks were fitted for four"),)
 
     def __init__(
         self,
@@ -48,7 +49,6 @@ class FlowMatchingFu2024(FlowMatchingPublished):
         steps: int = 4,
     ):
         super().__init__(
-            forward=True,
             steps=steps,
             base="gaussian",
             width=32,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, ClassVar
 
 import drjit as dr
 from torch import Tensor
@@ -24,19 +24,14 @@ class FlowMatchingPublished(FlowMatching):
 
     Networks, fits and samples are those of ``flow-matching``. The steps back are not the inverse
     of the steps of sampling: q is the density of no sampler, its integral is not one, and its
-    error is of the order of 1 / S. **Biased**: estimates are f / q. ``forward=True`` takes the
-    exact density of the sample for them, as the release of Fu et al. does, and leaves only queries
-    of other directions wrong, which bias multiple importance sampling.
-
-    Newton's method is saved, so that a query costs as much as a sample. ``exact_pdf`` is false.
+    error is of the order of 1 / S. **Biased**: estimates are f / q. Newton's method is saved, so
+    that a query costs as much as a sample. ``exact_pdf`` is false.
     """
 
     name = "flow-matching-published"
     exact_pdf = False
-
-    def __init__(self, forward: bool = False, **params: Any):
-        super().__init__(**params)
-        self.forward = forward
+    accumulated: ClassVar[bool] = False
+    """Whether estimates are f over the exact density, that sampling accumulates on its way."""
 
     def sample_weighted_columns(self, c: Columns, u: Columns) -> tuple[Float, Float, Float, Any]:
         """See :meth:`ColumnMethod.sample_weighted_columns`."""
@@ -47,8 +42,8 @@ class FlowMatchingPublished(FlowMatching):
         return x, y, pdf, [dr.select(inside, v / pdf, 0) for v in f]
 
     def sample_columns(self, c: Columns, u: Columns) -> tuple[Float, Float, Float]:
-        """See :meth:`ColumnMethod.sample_columns`; the density is q, or exact with ``forward``."""
-        if self.forward:
+        """See :meth:`ColumnMethod.sample_columns`; the density is q, or the exact one."""
+        if self.accumulated:
             return super().sample_columns(c, u)
         net, flow = self.module, self.flow()
         encoded = net.encode_columns(c)
@@ -75,3 +70,15 @@ class FlowMatchingPublished(FlowMatching):
     def inverse(self, condition: Tensor, wo: Tensor) -> Tensor | None:
         """See :meth:`Method.inverse`: none that the published pdf knows."""
         return None
+
+
+class FlowMatchingPublishedQuery(FlowMatchingPublished):
+    """Exact where it samples, published where it is asked: as the release of Fu et al. renders.
+
+    Estimates are f over the density that the samples' own steps accumulate: without bias. Only the
+    densities of other directions are q, and bias multiple importance sampling: the light samples'
+    weights and the BSDF samples' do not sum to one. **Biased** with light sampling alone.
+    """
+
+    name = "flow-matching-published-query"
+    accumulated = True

@@ -16,9 +16,11 @@ from harness.nets.discrete_flow import DiscreteFlow, solve
 
 
 class Steadiness(NamedTuple):
-    """``folded``: share of samples at which a step's determinant is not positive. ``moved``: share
-    of those on the disk whose base point the rounding of the direction moves too far."""
+    """Shares of samples: ``broken``, whose direction or density is no number; ``folded``, at which
+    a step's determinant is not positive; ``moved``, on the disk, whose base point the rounding of
+    the direction moves too far."""
 
+    broken: float
     folded: float
     moved: float
 
@@ -40,7 +42,8 @@ def steadiness(net: ConditionalFlow, flow: DiscreteFlow, material: Material) -> 
     encoded = net.encode(condition)
     base = net.base(encoded)
     reached = flow.forward(net.draw(base, 1, generator), net.velocity.shared(encoded))
-    folded = ~(reached.least > 0)[:, 0]
+    broken = ~(reached.x.isfinite().all(-1) & reached.log_det.isfinite())[:, 0]
+    folded = ~broken & (reached.least <= 0)[:, 0]
     wo = domains.to_disk(net.domain, reached.x)
     narrowest = torch.exp(base.log_sigma[:, -1:].amin(-1))
     moved = torch.zeros_like(folded)
@@ -49,4 +52,4 @@ def steadiness(net: ConditionalFlow, flow: DiscreteFlow, material: Material) -> 
         back = solve(reached.jacobian, away).abs().amax(-1) / narrowest
         moved |= (back > STEADY)[:, 0]
     moved &= inside_disk(wo[:, 0])
-    return Steadiness(float(folded.double().mean()), float(moved.double().mean()))
+    return Steadiness(*(float(share.double().mean()) for share in (broken, folded, moved)))
