@@ -99,8 +99,8 @@ def test_budget_of_a_suite_is_that_of_the_protocol():
 @pytest.mark.parametrize("name", loading.names())
 def test_shipped_suites_are_valid(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     # One takes a folder of the user's own.
-    (tmp_path / "measured").mkdir()
-    (tmp_path / "measured" / "paint_rgb.bsdf").touch()
+    (tmp_path / "rgl").mkdir()
+    (tmp_path / "rgl" / "paint_rgb.bsdf").touch()
     monkeypatch.chdir(tmp_path)
     suite = load(name).suite
     assert suite.name == name
