@@ -25,7 +25,7 @@ from harness.fitting.targets import Targets
 from harness.fitting.train import minimise
 from harness.nets import defensive, discrete_flow_columns, domains
 from harness.nets.activations import ACTIVATIONS
-from harness.nets.conditional_flow import ConditionalFlow
+from harness.nets.conditional_flow import ColumnConditioned, ConditionalFlow
 from harness.nets.coupling import uniforms_of_normal, unit_normal_columns
 from harness.nets.discrete_flow import DiscreteFlow
 from harness.nets.extremes import FAR, held
@@ -101,6 +101,7 @@ class FlowMatching(SteadyMethod, ColumnMethod):
         lambertian: bool = False,
         base_width: int = 32,
         frequencies: int = 5,
+        waves: int = 0,
         precision: str = "float32",
     ):
         for key, value, known in (
@@ -129,6 +130,8 @@ class FlowMatching(SteadyMethod, ColumnMethod):
             "layers": layers,
             "activation": activation,
             "frequencies": frequencies,
+            "waves": waves,
+            "framed": base != "normal",
             "share": self.uniform,
             "own_share": lambertian,
         }
@@ -249,10 +252,10 @@ class FlowMatching(SteadyMethod, ColumnMethod):
         if self.shape["base"] == "lobes" or self.shape["own_share"]:
             return None
         net = copy.deepcopy(self.module).double()
-        encoded = net.encode(condition.double())
-        base, place = net.base(encoded), domains.from_disk(self.domain, wo[:, None].double())[0]
-        origin = self.flow(net).invert(place, net.velocity.shared(encoded)).x[:, 0]
-        z = (origin - base.mean[:, -1]) * torch.exp(-base.log_sigma[:, -1])
+        at = net.at(condition.double())
+        place, _ = net.place(at, wo[:, None].double())
+        origin = self.flow(net).invert(place, at.shared).x[:, 0]
+        z = (origin - at.base.mean[:, -1]) * torch.exp(-at.base.log_sigma[:, -1])
         u = uniforms_of_normal(z)
         # The middle of what is not the uniform share's.
         return torch.cat([u, torch.full_like(u[:, :1], (1 + self.uniform) / 2)], 1)
@@ -281,39 +284,35 @@ class FlowMatching(SteadyMethod, ColumnMethod):
         back to the base by the map's Jacobian: the density is the one at the rounded direction.
         """
         net, flow = self.module, self.flow()
-        encoded = net.encode_columns(c)
-        base, shared = net.base.columns(encoded), net.velocity.shared_columns(encoded)
-        elsewhere, pick = self._outside(base, u)
-        x0 = base.place(unit_normal_columns(u), pick)
-        moved = discrete_flow_columns.forward(flow, x0, shared)
-        wo = domains.to_disk_columns(self.domain, moved.x)
+        at = net.at_columns(c)
+        elsewhere, pick = self._outside(at.base, u)
+        x0 = at.base.place(unit_normal_columns(u), pick)
+        moved = discrete_flow_columns.forward(flow, x0, at.shared)
+        wo = net.direction_columns(at, moved.x)
         if elsewhere is not None:
             there = defensive.uniform_disk_columns(u)
             wo = [dr.select(elsewhere, a, b) for a, b in zip(there, wo, strict=True)]
-        place, slope = domains.from_disk_columns(self.domain, wo)
+        place, slope = net.place_columns(at, wo)
         away = [a - b for a, b in zip(place, moved.x, strict=True)]
         shift = discrete_flow_columns.solve(moved.jacobian, away)
         origin, det = [a + b for a, b in zip(x0, shift, strict=True)], moved.det
         if elsewhere is not None:
-            other = discrete_flow_columns.invert(flow, place, shared, elsewhere)
+            other = discrete_flow_columns.invert(flow, place, at.shared, elsewhere)
             det = dr.select(elsewhere, other.det, det)
             origin = [dr.select(elsewhere, a, b) for a, b in zip(other.x, origin, strict=True)]
-        return *wo, self._mixed(base.pdf(origin) * (slope / dr.abs(det)), wo, base)
+        return *wo, self._mixed(at.base.pdf(origin) * (slope / dr.abs(det)), wo, at.base)
 
     def pdf_columns(self, c: Columns, wo: Columns) -> Float:
         """See :meth:`ColumnMethod.pdf_columns`; not a number where no origin was found."""
-        net = self.module
-        encoded = net.encode_columns(c)
-        base, shared = net.base.columns(encoded), net.velocity.shared_columns(encoded)
-        return self._density(base, shared, wo)
+        return self._density(self.module.at_columns(c), wo)
 
-    def _density(self, base: ColumnMixture, shared: Columns, wo: Columns) -> Float:
-        place, slope = domains.from_disk_columns(self.domain, wo)
-        origin = self.origin_columns(place, shared)
-        pdf = base.pdf(origin.x) * (slope / dr.abs(origin.det))
+    def _density(self, at: ColumnConditioned, wo: Columns) -> Float:
+        place, slope = self.module.place_columns(at, wo)
+        origin = self.origin_columns(place, at.shared)
+        pdf = at.base.pdf(origin.x) * (slope / dr.abs(origin.det))
         # Where there is no place there is no sample, and nothing to be found.
         pdf = dr.select(origin.found | (slope == 0), pdf, dr.nan)
-        return self._mixed(pdf, wo, base)
+        return self._mixed(pdf, wo, at.base)
 
     def origin_columns(self, place: Columns, shared: Columns) -> Any:
         """Where ``place`` comes from, for :meth:`pdf_columns`."""

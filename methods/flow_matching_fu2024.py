@@ -61,7 +61,7 @@ class FlowMatchingFu2024(FlowMatchingPublished):
             if value not in known:
                 raise InputError(f"{self.name}: {key} is '{value}'{nearest(value, known)}")
         self.folder, self.weights, self.query = Path(folder), weights, query
-        self.shape |= {"bounded": False, "base_activation": "silu"}
+        self.shape |= {"framed": False, "bounded": False, "base_activation": "silu"}
 
     def origin_columns(self, place: Columns, shared: Columns) -> Any:
         """See :meth:`FlowMatching.origin_columns`."""

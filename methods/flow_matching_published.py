@@ -9,7 +9,7 @@ from torch import Tensor
 
 from harness.core.columns.bridge import Columns, Float
 from harness.core.columns.reflectance import reflectance_columns
-from harness.nets import defensive, discrete_flow_columns, domains
+from harness.nets import defensive, discrete_flow_columns
 from harness.nets.conditional_flow import ConditionalFlow
 from harness.nets.coupling import unit_normal_columns
 from methods.flow_matching import FlowMatching
@@ -46,26 +46,25 @@ class FlowMatchingPublished(FlowMatching):
         if self.accumulated:
             return super().sample_columns(c, u)
         net, flow = self.module, self.flow()
-        encoded = net.encode_columns(c)
-        base, shared = net.base.columns(encoded), net.velocity.shared_columns(encoded)
-        elsewhere, pick = self._outside(base, u)
-        x0 = base.place(unit_normal_columns(u), pick)
-        wo = domains.to_disk_columns(self.domain, discrete_flow_columns.endpoint(flow, x0, shared))
+        at = net.at_columns(c)
+        elsewhere, pick = self._outside(at.base, u)
+        x0 = at.base.place(unit_normal_columns(u), pick)
+        wo = net.direction_columns(at, discrete_flow_columns.endpoint(flow, x0, at.shared))
         if elsewhere is not None:
             there = defensive.uniform_disk_columns(u)
             wo = [dr.select(elsewhere, a, b) for a, b in zip(there, wo, strict=True)]
-        return *wo, self._density(base, shared, wo)
+        return *wo, self._density(at, wo)
 
     def origin_columns(self, place: Columns, shared: Columns) -> Any:
         """See :meth:`FlowMatching.origin_columns`: by explicit steps back."""
         return discrete_flow_columns.backward(self.flow(), place, shared)
 
     def _log_prob(self, net: ConditionalFlow, condition: Tensor, wo: Tensor) -> Tensor:
-        encoded = net.encode(condition)
-        place, log_slope = net.from_disk(wo)
-        origin = self.flow(net).backward(place, net.velocity.shared(encoded))
-        base = net.base(encoded)
-        return net.mixed(base.log_prob(origin.x) - origin.log_det + log_slope, wo, base)
+        at = net.at(condition)
+        place, log_slope = net.place(at, wo)
+        origin = self.flow(net).backward(place, at.shared)
+        log_prob = at.base.log_prob(origin.x) - origin.log_det + log_slope
+        return net.mixed(log_prob, wo, at.base)
 
     def inverse(self, condition: Tensor, wo: Tensor) -> Tensor | None:
         """See :meth:`Method.inverse`: none that the published pdf knows."""

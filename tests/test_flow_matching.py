@@ -290,10 +290,9 @@ def test_reflow_straightens():
         method = fitted("plain", 10, 400, **SMALL, reflow=reflow, pairing=False)
         net, g = method.module, torch.Generator().manual_seed(0)
         with torch.no_grad():
-            encoded = net.encode(method.material.conditions(512, g))
-            x0 = net.draw(net.base(encoded), 1, g)
-            shared = net.velocity.shared(encoded)
-            ends = [DiscreteFlow(net.velocity, s).endpoint(x0, shared) for s in (2, 50)]
+            at = net.at(method.material.conditions(512, g))
+            x0 = net.draw(at.base, 1, g)
+            ends = [DiscreteFlow(net.velocity, s).endpoint(x0, at.shared) for s in (2, 50)]
         bends.append(float((ends[0] - ends[1]).square().sum(-1).mean()))
     assert bends[1] < 0.5 * bends[0]
 

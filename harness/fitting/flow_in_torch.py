@@ -9,7 +9,6 @@ from torch import Tensor
 
 from harness.core.protocol.method import DiskSample, Method
 from harness.fitting.module_method import ModuleMethod
-from harness.nets import domains
 from harness.nets.conditional_flow import ConditionalFlow
 from harness.nets.discrete_flow import DiscreteFlow
 from harness.nets.mlp import split_rows
@@ -50,23 +49,22 @@ def _sample(
     net: ConditionalFlow, flow: DiscreteFlow, condition: Tensor, u: Tensor
 ) -> tuple[Tensor, Tensor]:
     """Directions [N, 2] and densities [N]."""
-    encoded = net.encode(condition)
-    base, shared = net.base(encoded), net.velocity.shared(encoded)
+    at = net.at(condition)
     turn = 2 * math.pi * u[:, 1]
     circle = torch.stack([turn.cos(), turn.sin()], -1)
-    share = net.outer_share(base)
+    share = net.outer_share(at.base)
     elsewhere = u[:, 2] < share
     pick = (u[:, 2] - share) / (1 - share)
     z = (-2 * torch.log1p(-u[:, :1])).sqrt() * circle
-    x0 = base.place(z[:, None], pick[:, None])
-    moved = flow.forward(x0, shared)
-    wo = domains.to_disk(net.domain, moved.x)
+    x0 = at.base.place(z[:, None], pick[:, None])
+    moved = flow.forward(x0, at.shared)
+    wo = net.direction(at, moved.x)
     wo = torch.where(elsewhere[:, None, None], (u[:, :1].sqrt() * circle)[:, None], wo)
-    log_slope = net.from_disk(wo)[1]
-    log_prob = base.log_prob(x0) - moved.log_det + log_slope
+    place, log_slope = net.place(at, wo)
+    log_prob = at.base.log_prob(x0) - moved.log_det + log_slope
     if bool(elsewhere.any()):
         some = elsewhere.nonzero()[:, 0]
-        origin = flow.invert(net.from_disk(wo[some])[0], shared[some])
-        part = base.rows(some)
-        log_prob[some] = part.log_prob(origin.x) - origin.log_det + log_slope[some]
-    return wo[:, 0], net.mixed(log_prob, wo, base)[:, 0].exp()
+        origin = flow.invert(place[some], at.shared[some])
+        density = at.base.rows(some).log_prob(origin.x) - origin.log_det
+        log_prob[some] = density + log_slope[some]
+    return wo[:, 0], net.mixed(log_prob, wo, at.base)[:, 0].exp()

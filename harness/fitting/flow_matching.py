@@ -18,7 +18,7 @@ from torch import Tensor
 
 from harness.core.protocol.method import Budget
 from harness.fitting.targets import Targets
-from harness.nets.conditional_flow import ConditionalFlow
+from harness.nets.conditional_flow import ConditionalFlow, Conditioned
 from harness.nets.discrete_flow import DiscreteFlow, determinant
 
 TEACHER = 50
@@ -47,14 +47,14 @@ def matching_loss(
     without a gradient.
     """
     condition, wo = targets.batch(budget.conditions, budget.directions, generator)
-    x1, _ = net.from_disk(wo)
-    encoded = net.encode(condition)
-    base = net.base(encoded)
-    x0 = net.draw(base, wo.shape[1], generator).detach()
-    if pairing:
-        x0, x1 = in_rows(x0), in_rows(x1)
-    loss = _regression(net, encoded, base.log_sigma, x0, x1, generator)
-    return loss if net.base.net is None else loss - base.log_prob(x1).mean()
+    at = net.at(condition)
+    x1, log_slope = net.place(at, wo)
+    x0 = net.draw(at.base, wo.shape[1], generator).detach()
+    apart = (in_rows(x0), in_rows(x1.detach())) if pairing else (x0, x1.detach())
+    loss = _regression(net, at, *apart, generator)
+    if net.base.net is None:
+        return loss
+    return loss - net.mixed(at.base.log_prob(x1) + log_slope, wo, at.base).mean()
 
 
 def in_rows(x: Tensor) -> Tensor:
@@ -87,9 +87,9 @@ class Pairs:
         flow = DiscreteFlow(teacher.velocity, TEACHER)
         x0, x1 = [], []
         for rows in torch.split(condition, 256):
-            encoded = teacher.encode(rows)
-            x0.append(teacher.draw(teacher.base(encoded), PAIRS, generator))
-            x1.append(flow.endpoint(x0[-1], teacher.velocity.shared(encoded)))
+            at = teacher.at(rows)
+            x0.append(teacher.draw(at.base, PAIRS, generator))
+            x1.append(flow.endpoint(x0[-1], at.shared))
         return cls(condition, torch.cat(x0), torch.cat(x1))
 
     def loss(self, net: ConditionalFlow, budget: Budget, generator: torch.Generator) -> Tensor:
@@ -99,22 +99,20 @@ class Pairs:
         row = row.to(self.condition.device)
         which = which.to(row.device).expand(-1, -1, 2)
         x0, x1 = self.x0[row].gather(1, which), self.x1[row].gather(1, which)
-        encoded = net.encode(self.condition[row])
-        return _regression(net, encoded, net.base(encoded).log_sigma, x0, x1, generator)
+        return _regression(net, net.at(self.condition[row]), x0, x1, generator)
 
 
 def _regression(
     net: ConditionalFlow,
-    encoded: Tensor,
-    log_sigma: Tensor,
+    at: Conditioned,
     x0: Tensor,
     x1: Tensor,
     generator: torch.Generator,
 ) -> Tensor:
-    """Squared error of the velocity, in units of the base's mean deviation in each condition."""
+    """Squared error of the velocity, in units of the base's deviation in each condition."""
     t = torch.rand(*x0.shape[:-1], 1, generator=generator).to(x0.device)
-    found = net.velocity(torch.lerp(x0, x1, t), t, net.velocity.shared(encoded))
-    scale = torch.exp(-log_sigma.detach().mean((1, 2)))[:, None, None]
+    found = net.velocity(torch.lerp(x0, x1, t), t, at.shared)
+    scale = torch.exp(-at.base.log_sigma[:, -1:].detach().mean(-1, keepdim=True))
     return ((found - (x1 - x0)) * scale).square().sum(-1).mean()
 
 
@@ -132,15 +130,14 @@ def likelihood_loss(
     are penalised, at samples of the base.
     """
     condition, wo = targets.batch(budget.conditions, budget.directions, generator)
-    encoded = net.encode(condition)
-    flow, shared = DiscreteFlow(net.velocity, steps, solver), net.velocity.shared(encoded)
+    flow, at = DiscreteFlow(net.velocity, steps, solver), net.at(condition)
     log_prob, found = net.log_prob(flow, condition, wo, ROUNDS)
     share = found.to(log_prob.dtype).mean()
     loss = -torch.where(found, log_prob, 0).mean() / share.clamp(min=0.5)
     few = max(1, wo.shape[1] // 8)
-    x, folds = net.draw(net.base(encoded), few, generator).detach(), 0.0
+    x, folds = net.draw(at.base, few, generator).detach(), 0.0
     for k in range(steps):
-        x, *tangents = flow.one_dual(x, k, shared)
+        x, *tangents = flow.one_dual(x, k, at.shared)
         det = determinant(torch.stack(tangents))
         folds = folds + torch.relu(LEAST - det).square().mean()
         x = x.detach()

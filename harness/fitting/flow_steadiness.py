@@ -10,7 +10,6 @@ import torch
 from harness.core.protocol.disk import inside_disk
 from harness.core.protocol.material import Material
 from harness.fitting.steady import ROWS, STEADY, UNIT
-from harness.nets import domains
 from harness.nets.conditional_flow import ConditionalFlow
 from harness.nets.discrete_flow import DiscreteFlow, solve
 
@@ -39,16 +38,15 @@ def steadiness(net: ConditionalFlow, flow: DiscreteFlow, material: Material) -> 
     generator = torch.Generator().manual_seed(0)
     device = next(net.parameters()).device
     condition = material.conditions(ROWS, generator, str(device)).double()
-    encoded = net.encode(condition)
-    base = net.base(encoded)
-    reached = flow.forward(net.draw(base, 1, generator), net.velocity.shared(encoded))
+    at = net.at(condition)
+    reached = flow.forward(net.draw(at.base, 1, generator), at.shared)
     broken = ~(reached.x.isfinite().all(-1) & reached.log_det.isfinite())[:, 0]
     folded = ~broken & (reached.least <= 0)[:, 0]
-    wo = domains.to_disk(net.domain, reached.x)
-    narrowest = torch.exp(base.log_sigma[:, -1:].amin(-1))
+    wo = net.direction(at, reached.x)
+    narrowest = torch.exp(at.base.log_sigma[:, -1:].amin(-1))
     moved = torch.zeros_like(folded)
     for step in UNIT * torch.eye(2, dtype=wo.dtype, device=device):
-        away = domains.from_disk(net.domain, wo + step)[0] - reached.x
+        away = net.place(at, wo + step)[0] - reached.x
         back = solve(reached.jacobian, away).abs().amax(-1) / narrowest
         moved |= (back > STEADY)[:, 0]
     moved &= inside_disk(wo[:, 0])

@@ -2,19 +2,42 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import drjit as dr
 import torch
 from torch import Tensor, nn
 
-from harness.core.columns.bridge import Columns
+from harness.core.columns.bridge import Columns, Float
 from harness.core.protocol.material import Material
 from harness.nets import defensive, domains
 from harness.nets.discrete_flow import ROUNDS, DiscreteFlow
 from harness.nets.encoding import ConditionEncoder
-from harness.nets.mixture_base import Mixture, MixtureBase
+from harness.nets.mixture_base import ColumnMixture, Mixture, MixtureBase
 from harness.nets.velocity import Velocity
 
 _FEATURES = 8.0
+
+
+class Conditioned(NamedTuple):
+    """What conditions determine: base and first layer's share, and the frame, [B, 1, 2] each.
+
+    The flow's coordinates are (domain's place - mean) / sigma; None where they are the place.
+    """
+
+    base: Mixture
+    shared: Tensor
+    mean: Tensor | None
+    log_sigma: Tensor | None
+
+
+class ColumnConditioned(NamedTuple):
+    """The same over columns."""
+
+    base: ColumnMixture
+    shared: Columns
+    mean: Columns | None
+    log_sigma: Columns | None
 
 
 class ConditionalFlow(nn.Module):
@@ -26,6 +49,9 @@ class ConditionalFlow(nn.Module):
     The uniform ``share`` (with ``own_share`` a condition's own, from there up to one) is part of
     the base in the domain ``plane``, where the standard normal is the uniform disk; elsewhere it
     is mixed with the density on the disk.
+
+    ``framed`` has the flow act on coordinates in which the base's first Gaussian is the standard
+    normal: a narrow lobe is then as easy to bend as a broad one.
 
     ``bounded`` keeps log sigmas and the places that the velocity sees within bounds, see there.
     """
@@ -43,6 +69,8 @@ class ConditionalFlow(nn.Module):
         frequencies: int = 5,
         share: float = 0.0,
         own_share: bool = False,
+        framed: bool = False,
+        waves: int = 0,
         bounded: bool = True,
         base_activation: str = "leaky_relu",
     ):
@@ -61,7 +89,8 @@ class ConditionalFlow(nn.Module):
             activation=base_activation,
             bounded=bounded,
         )
-        self.velocity = Velocity(self.encoder.width, width, layers, activation, bounded)
+        self.velocity = Velocity(self.encoder.width, width, layers, activation, bounded, waves)
+        self.framed = framed and self.base.lobes > 0
 
     def encode(self, condition: Tensor) -> Tensor:
         """What the networks see, [B, E]."""
@@ -69,14 +98,29 @@ class ConditionalFlow(nn.Module):
         features = _FEATURES * torch.tanh(encoded[:, :n] / _FEATURES)
         return torch.cat([features, encoded[:, n:]], 1)
 
-    def encode_columns(self, c: Columns) -> Columns:
-        """The same over columns."""
-        encoded, n = self.encoder.columns(c), self.encoder.n_features
-        return [_FEATURES * dr.tanh(v * (1 / _FEATURES)) for v in encoded[:n]] + encoded[n:]
+    def at(self, condition: Tensor) -> Conditioned:
+        """All that [B, C] conditions determine, in the flow's coordinates."""
+        encoded = self.encode(condition)
+        base, shared = self.base(encoded), self.velocity.shared(encoded)
+        if not self.framed:
+            return Conditioned(base, shared, None, None)
+        main = slice(-self.base.lobes, base.mean.shape[1] - self.base.lobes + 1)
+        mean, log_sigma = base.mean[:, main], base.log_sigma[:, main]
+        return Conditioned(base.framed(mean, log_sigma), shared, mean, log_sigma)
 
-    def from_disk(self, wo: Tensor) -> tuple[Tensor, Tensor]:
-        """See :func:`harness.nets.domains.from_disk`."""
-        return domains.from_disk(self.domain, wo)
+    def place(self, at: Conditioned, wo: Tensor) -> tuple[Tensor, Tensor]:
+        """Flow coordinates [B, D, 2] of ``wo``, and log |d place / d wo| [B, D]."""
+        place, log_slope = domains.from_disk(self.domain, wo)
+        if at.mean is None:
+            return place, log_slope
+        place = (place - at.mean) * torch.exp(-at.log_sigma)
+        return place, log_slope - at.log_sigma.sum(-1)
+
+    def direction(self, at: Conditioned, place: Tensor) -> Tensor:
+        """The direction of a place: the inverse of :meth:`place`."""
+        if at.mean is not None:
+            place = at.mean + place * torch.exp(at.log_sigma)
+        return domains.to_disk(self.domain, place)
 
     def draw(self, base: Mixture, count: int, generator: torch.Generator) -> Tensor:
         """Samples [B, count, 2] of a base; by the generator's own, on whatever device."""
@@ -91,15 +135,14 @@ class ConditionalFlow(nn.Module):
 
         Differentiable; without gradients wanted, by the plain inverse.
         """
-        encoded = self.encode(condition)
-        base, shared = self.base(encoded), self.velocity.shared(encoded)
-        place, log_slope = self.from_disk(wo)
+        at = self.at(condition)
+        place, log_slope = self.place(at, wo)
         if torch.is_grad_enabled():
-            origin = flow.origin(place, shared, rounds)
+            origin = flow.origin(place, at.shared, rounds)
         else:
-            origin = flow.invert(place, shared)
-        log_prob = base.log_prob(origin.x) - origin.log_det + log_slope
-        return self.mixed(log_prob, wo, base), origin.found
+            origin = flow.invert(place, at.shared)
+        log_prob = at.base.log_prob(origin.x) - origin.log_det + log_slope
+        return self.mixed(log_prob, wo, at.base), origin.found
 
     def outer_share(self, base: Mixture) -> Tensor | float:
         """The uniform share [B] beside the base, where the base does not have it: else zero."""
@@ -116,3 +159,32 @@ class ConditionalFlow(nn.Module):
         if base.raw_share is not None:
             return defensive.log_mixed_logit(log_prob, wo, base.raw_share, self.share)
         return defensive.log_mixed(log_prob, wo, self.share)
+
+    # --- the same over columns ---------------------------------------------------------
+
+    def at_columns(self, c: Columns) -> ColumnConditioned:
+        """See :meth:`at`."""
+        encoded, n = self.encoder.columns(c), self.encoder.n_features
+        encoded[:n] = [_FEATURES * dr.tanh(v * (1 / _FEATURES)) for v in encoded[:n]]
+        base, shared = self.base.columns(encoded), self.velocity.shared_columns(encoded)
+        if not self.framed:
+            return ColumnConditioned(base, shared, None, None)
+        mean, log_sigma = base.mean[-self.base.lobes], base.log_sigma[-self.base.lobes]
+        return ColumnConditioned(base.framed(mean, log_sigma), shared, mean, log_sigma)
+
+    def place_columns(self, at: ColumnConditioned, wo: Columns) -> tuple[Columns, Float]:
+        """See :meth:`place`; the slope itself."""
+        place, slope = domains.from_disk_columns(self.domain, wo)
+        if at.mean is None:
+            return place, slope
+        place = [(v - m) * dr.exp(-s) for v, m, s in zip(place, at.mean, at.log_sigma, strict=True)]
+        return place, slope * dr.exp(-at.log_sigma[0] - at.log_sigma[1])
+
+    def direction_columns(self, at: ColumnConditioned, place: Columns) -> Columns:
+        """See :meth:`direction`."""
+        if at.mean is not None:
+            place = [
+                dr.fma(v, dr.exp(s), m)
+                for v, m, s in zip(place, at.mean, at.log_sigma, strict=True)
+            ]
+        return domains.to_disk_columns(self.domain, place)

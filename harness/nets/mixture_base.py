@@ -38,6 +38,12 @@ class Mixture(NamedTuple):
         """Those of some conditions."""
         return Mixture(*(None if part is None else part[index] for part in self))
 
+    def framed(self, mean: Tensor, log_sigma: Tensor) -> Mixture:
+        """In the coordinates (x - mean) / sigma, both [B, 1, 2]."""
+        return self._replace(
+            mean=(self.mean - mean) * torch.exp(-log_sigma), log_sigma=self.log_sigma - log_sigma
+        )
+
     def log_prob(self, x: Tensor) -> Tensor:
         """Log density [B, D] at ``x`` [B, D, 2]."""
         z = (x[:, :, None] - self.mean[:, None]) * torch.exp(-self.log_sigma)[:, None]
@@ -56,9 +62,21 @@ class ColumnMixture(NamedTuple):
     """The same over columns; a lobe's mean and log sigma are pairs, ``share`` no logit."""
 
     weight: Columns
-    mean: list[tuple[Float, Float]]
-    log_sigma: list[tuple[Float, Float]]
+    mean: list[Columns]
+    log_sigma: list[Columns]
     share: Float | float = 0.0
+
+    def framed(self, mean: Columns, log_sigma: Columns) -> ColumnMixture:
+        """In the coordinates (x - mean) / sigma."""
+        return self._replace(
+            mean=[
+                [(m - o) * dr.exp(-s) for m, o, s in zip(pair, mean, log_sigma, strict=True)]
+                for pair in self.mean
+            ],
+            log_sigma=[
+                [a - s for a, s in zip(pair, log_sigma, strict=True)] for pair in self.log_sigma
+            ],
+        )
 
     def pdf(self, x: Columns) -> Float:
         """Density at ``x``."""
@@ -165,13 +183,13 @@ class MixtureBase(nn.Module):
         out = [] if self.net is None else self.net.columns(encoded)
         raw = out[2 * n : 4 * n]
         raw = [lobes.log_sigma_columns(v) for v in raw] if self.bounded else raw
-        mean = list(zip(out[0 : 2 * n : 2], out[1 : 2 * n : 2], strict=True))
-        log_sigma = list(zip(raw[0::2], raw[1::2], strict=True))
+        mean = [out[2 * i : 2 * i + 2] for i in range(n)]
+        log_sigma = [raw[2 * i : 2 * i + 2] for i in range(n)]
         weight = lobes.weight_columns(out[4 * n : self._logits]) if n > 1 else [array(1)] * n
         share = defensive.share_columns(out[-1], self.share) if self.own_share else self.share
         if n and not self._has_normal:
             return ColumnMixture(weight, mean, log_sigma, share)
-        still = (array(0), array(0))
+        still = [array(0), array(0)]
         if n == 0:
             return ColumnMixture([array(1)], [still], [still], share)
         weight = [array(share), *((1 - share) * w for w in weight)]

@@ -26,8 +26,8 @@ class Velocity(nn.Module):
 
     x is seen as :math:`r \tanh(x / r)`, r = 8, which is x where samples are. So u is bounded, and
     every step :math:`x + h u` reaches the whole plane: a density asked for anywhere has a point
-    that it comes from. ``bounded=False`` leaves x as it is. The last layer starts at zero, the
-    flow as its base.
+    that it comes from. ``bounded=False`` leaves x as it is. With ``waves`` the network sees the
+    sines and cosines of x at 1, 2, 4, ... too. The last layer starts at zero, the flow as its base.
 
     Duals are tensors [3, B, D, 2] (or six columns): x, and its derivatives along two directions.
     """
@@ -39,9 +39,11 @@ class Velocity(nn.Module):
         layers: int,
         activation: str = "silu",
         bounded: bool = True,
+        waves: int = 0,
     ):
         super().__init__()
-        widths = [3 + encoded, *[width] * layers, 2]
+        self.waves, self.own = waves, 3 + 4 * waves
+        widths = [self.own + encoded, *[width] * layers, 2]
         self.layers = nn.ModuleList(
             nn.Linear(a, b) for a, b in zip(widths[:-1], widths[1:], strict=True)
         )
@@ -58,15 +60,32 @@ class Velocity(nn.Module):
     def shared(self, encoded: Tensor) -> Tensor:
         """What the condition adds to the first layer: [B, E] -> [B, 1, width]."""
         first = self.layers[0]
-        return nn.functional.linear(encoded, first.weight[:, 3:], first.bias)[:, None]
+        return nn.functional.linear(encoded, first.weight[:, self.own :], first.bias)[:, None]
+
+    def _seen(self, x: Tensor) -> tuple[list[Tensor], list[Tensor]]:
+        """What the first layer sees of x, in parts [..., 2], and each part's slopes."""
+        values, slopes = [x], [torch.ones_like(x)]
+        if self.bounded:
+            inner = torch.tanh(x / REACH)
+            values, slopes = [REACH * inner], [1 - inner * inner]
+        for k in range(self.waves):
+            angle = 2**k * values[0]
+            sin, cos = torch.sin(angle), torch.cos(angle)
+            values += [sin, cos]
+            slopes += [2**k * slopes[0] * cos, -(2**k) * slopes[0] * sin]
+        return values, slopes
+
+    def _place(self, parts: list[Tensor]) -> Tensor:
+        """The first layer's matrix times those parts: [..., 2] each."""
+        weight = self.layers[0].weight
+        columns = torch.cat([weight[:, :2], weight[:, 3 : self.own]], 1)
+        return torch.cat(parts, -1) @ columns.T
 
     def forward(self, x: Tensor, t: Tensor | float, shared: Tensor) -> Tensor:
         """u [B, D, 2] at x [B, D, 2], times ``t`` (a number, or [B, D, 1])."""
         counting.add("network", x[..., 0].numel())
         first, *rest = self.layers
-        if self.bounded:
-            x = REACH * torch.tanh(x / REACH)
-        v = x @ first.weight[:, :2].T + (shared + t * first.weight[:, 2])
+        v = self._place(self._seen(x)[0]) + (shared + t * first.weight[:, 2])
         for layer in rest:
             v = layer(activations.value(self.activation, v))
         return v
@@ -75,13 +94,9 @@ class Velocity(nn.Module):
         """u and its derivatives along the dual's two directions: [3, B, D, 2]."""
         counting.add("network", dual[0, ..., 0].numel())
         first, *rest = self.layers
-        x, tangents = dual[0], dual[1:]
-        if self.bounded:
-            seen = torch.tanh(x / REACH)
-            x, tangents = REACH * seen, (1 - seen * seen) * tangents
-        own = first.weight[:, :2].T
-        v = x @ own + (shared + t * first.weight[:, 2])
-        tangents = tangents @ own
+        values, slopes = self._seen(dual[0])
+        v = self._place(values) + (shared + t * first.weight[:, 2])
+        tangents = self._place([slope * dual[1:] for slope in slopes])
         for layer in rest:
             value, slope = activations.with_slope(self.activation, v)
             v, tangents = layer(value), (slope * tangents) @ layer.weight.T
@@ -96,9 +111,7 @@ class Velocity(nn.Module):
     def columns(self, x: Columns, t: Float, shared: Columns) -> Columns:
         """:meth:`forward` over columns."""
         array = type(shared[0])
-        if self.bounded:
-            x = [REACH * dr.tanh(v * (1 / REACH)) for v in x]
-        v = self._first(x, t, shared)
+        v = self._first(self._seen_columns(x)[0], t, shared)
         for i in range(1, len(self.layers)):
             v = self._product(i, activations.value_columns(self.activation, v), array)
         return v
@@ -106,15 +119,13 @@ class Velocity(nn.Module):
     def push_columns(self, dual: Columns, t: Float, shared: Columns) -> Columns:
         """:meth:`push` over six columns: x, and the two derivatives."""
         array = type(shared[0])
-        x, tangents = dual[:2], [dual[2:4], dual[4:6]]
-        if self.bounded:
-            seen = [dr.tanh(v * (1 / REACH)) for v in x]
-            slope = [dr.fma(-s, s, 1) for s in seen]
-            x = [REACH * s for s in seen]
-            tangents = [[s * v for s, v in zip(slope, d, strict=True)] for d in tangents]
-        v = self._first(x, t, shared)
-        zero = array(0)
-        tangents = [self._product("place", [*d, zero], array) for d in tangents]
+        values, slopes = self._seen_columns(dual[:2])
+        v = self._first(values, t, shared)
+        zero, tangents = array(0), []
+        for along in (dual[2:4], dual[4:6]):
+            # Parts come in pairs, of x and of y.
+            moved = [s * along[i % 2] for i, s in enumerate(slopes)]
+            tangents.append(self._product("place", [*moved[:2], zero, *moved[2:]], array))
         for i in range(1, len(self.layers)):
             value, slope = activations.with_slope_columns(self.activation, v)
             v = self._product(i, value, array)
@@ -124,8 +135,25 @@ class Velocity(nn.Module):
             ]
         return [*v, *tangents[0], *tangents[1]]
 
+    def _seen_columns(self, x: Columns) -> tuple[Columns, Columns]:
+        """:meth:`_seen` over columns: values and slopes, two a part."""
+        array = type(x[0])
+        values, slopes = list(x), [array(1), array(1)]
+        if self.bounded:
+            inner = [dr.tanh(v * (1 / REACH)) for v in x]
+            values = [REACH * v for v in inner]
+            slopes = [dr.fma(-v, v, 1) for v in inner]
+        pairs = [dr.sincos(v) for v in values] if self.waves else []
+        for k in range(self.waves):
+            (sx, cx), (sy, cy) = pairs
+            a, b = (2**k * s for s in slopes[:2])
+            values += [sx, sy, cx, cy]
+            slopes += [a * cx, b * cy, -a * sx, -b * sy]
+            pairs = [(2 * s * c, dr.fma(-2 * s, s, 1)) for s, c in pairs]
+        return values, slopes
+
     def _first(self, x: Columns, t: Float, shared: Columns) -> Columns:
-        product = self._product("place", [*x, t], type(shared[0]))
+        product = self._product("place", [*x[:2], t, *x[2:]], type(shared[0]))
         return [p + s for p, s in zip(product, shared, strict=True)]
 
     def _product(
@@ -161,8 +189,8 @@ class Velocity(nn.Module):
         layer = self.layers[which if isinstance(which, int) else 0]
         weight, bias = layer.weight.detach().float(), layer.bias.detach().float()
         if which == "condition":
-            return weight[:, 3:], bias
-        return (weight[:, :3], None) if which == "place" else (weight, bias)
+            return weight[:, self.own :], bias
+        return (weight[:, : self.own], None) if which == "place" else (weight, bias)
 
     def _pack(self, array: type[Float]) -> tuple[dict, dict]:
         """Weights as packed matrix views, made again whenever a parameter has changed."""
@@ -191,4 +219,5 @@ class Velocity(nn.Module):
         nn.Module.__init__(clone)
         clone.layers = copy.deepcopy(self.layers, memo)
         clone.activation, clone.bounded, clone._packed = self.activation, self.bounded, None
+        clone.waves, clone.own = self.waves, self.own
         return clone
