@@ -27,9 +27,9 @@ PAIRS = 64
 """Of each condition of the pool."""
 ROUNDS = 4
 """Of Newton's method in a fit; a direction that needs more is left out of its batch."""
-LEAST = 0.05
+LEAST = 0.1
 """Determinant of a step below which a fit by likelihood is drawn back: at zero it folds."""
-_FOLDS = 10.0
+_FOLDS = 100.0
 """Nats per squared unit of a determinant below that."""
 
 
@@ -134,7 +134,7 @@ def likelihood_loss(
     log_prob, found = net.log_prob(flow, condition, wo, ROUNDS)
     share = found.to(log_prob.dtype).mean()
     loss = -torch.where(found, log_prob, 0).mean() / share.clamp(min=0.5)
-    few = max(1, wo.shape[1] // 8)
+    few = max(1, wo.shape[1] // 4)
     x, folds = net.draw(at.base, few, generator).detach(), 0.0
     for k in range(steps):
         x, *tangents = flow.one_dual(x, k, at.shared)

@@ -34,7 +34,16 @@ class ColumnOrigin(NamedTuple):
     found: Any
 
 
-def _add(x: Columns, h: float, k: Columns) -> Columns:
+def _width(flow: DiscreteFlow, array: type[Float]) -> Float:
+    """1 / S, as data: one kernel serves every number of steps."""
+    return dr.opaque(array, 1 / flow.steps)
+
+
+def _count(flow: DiscreteFlow, array: type[Float]) -> Any:
+    return dr.opaque(dr.uint32_array_t(array), flow.steps)
+
+
+def _add(x: Columns, h: Float, k: Columns) -> Columns:
     return [dr.fma(b, h, a) for a, b in zip(x, k, strict=True)]
 
 
@@ -59,7 +68,8 @@ def _times(m: Matrix, n: Matrix) -> Matrix:
 
 def one(flow: DiscreteFlow, x: Columns, k: Any, shared: Columns, back: bool = False) -> Columns:
     """Step ``k`` (an integer column) from ``x``, explicitly back from its end with ``back``."""
-    array, h = type(x[0]), 1 / flow.steps
+    array = type(x[0])
+    h = _width(flow, array)
 
     def field(x: Columns, t: Float) -> Columns:
         return flow.velocity.columns(x, t, shared)
@@ -72,7 +82,8 @@ def one_dual(
     flow: DiscreteFlow, x: Columns, k: Any, shared: Columns, back: bool = False
 ) -> tuple[Columns, Matrix]:
     """:func:`one` with its derivatives."""
-    array, h = type(x[0]), 1 / flow.steps
+    array = type(x[0])
+    h = _width(flow, array)
 
     def field(x: Columns, t: Float) -> Columns:
         return flow.velocity.push_columns(x, t, shared)
@@ -92,9 +103,9 @@ def forward(flow: DiscreteFlow, x: Columns, shared: Columns) -> ColumnMoved:
         (x, y), m = one_dual(flow, [x, y], k, shared)
         return k + 1, x, y, det * determinant(m), *_times(m, whole)
 
-    unit = array(1), array(0), array(0), array(1)
+    count, unit = _count(flow, array), (array(1), array(0), array(0), array(1))
     start = index(0), *(array(v) for v in x), array(1), *unit
-    _, x, y, det, *whole = _loop(start, lambda k, *rest: k < flow.steps, body, "flow")
+    _, x, y, det, *whole = _loop(start, lambda k, *rest: k < count, body, "flow")
     return ColumnMoved([x, y], det, tuple(whole))
 
 
@@ -105,21 +116,21 @@ def endpoint(flow: DiscreteFlow, x: Columns, shared: Columns) -> Columns:
     def body(k: Any, x: Float, y: Float) -> tuple:
         return k + 1, *one(flow, [x, y], k, shared)
 
+    count = _count(flow, array)
     start = dr.uint32_array_t(array)(0), *(array(v) for v in x)
-    _, x, y = _loop(start, lambda k, *rest: k < flow.steps, body, "flow")
+    _, x, y = _loop(start, lambda k, *rest: k < count, body, "flow")
     return [x, y]
 
 
 def backward(flow: DiscreteFlow, x: Columns, shared: Columns) -> ColumnOrigin:
     """**Not** the inverse: see :meth:`DiscreteFlow.backward`; ``det`` of the map it goes back."""
     array = type(shared[0])
-    index = dr.uint32_array_t(array)
 
     def body(k: Any, x: Float, y: Float, det: Float) -> tuple:
         (x, y), m = one_dual(flow, [x, y], k - 1, shared, back=True)
         return k - 1, x, y, det / determinant(m)
 
-    start = index(flow.steps), *(array(v) for v in x), array(1)
+    start = _count(flow, array), *(array(v) for v in x), array(1)
     _, x, y, det = _loop(start, lambda k, *rest: k > 0, body, "flow back")
     return ColumnOrigin([x, y], det, dr.mask_t(array)(True))
 
@@ -131,14 +142,14 @@ def invert(flow: DiscreteFlow, x: Columns, shared: Columns, active: Any = True) 
     rows without an active one cost nothing.
     """
     array = type(shared[0])
-    index, mask = dr.uint32_array_t(array), dr.mask_t(array)
+    mask = dr.mask_t(array)
 
     def body(k: Any, x: Float, y: Float, det: Float, found: Any, active: Any) -> tuple:
         k = k - 1
         (x, y), m, converged = _invert_one(flow, [x, y], k, shared)
         return k, x, y, det * determinant(m), found & converged, active
 
-    start = index(flow.steps), *(array(v) for v in x), array(1), mask(True), mask(active)
+    start = _count(flow, array), *(array(v) for v in x), array(1), mask(True), mask(active)
     _, x, y, det, found, _ = _loop(
         start, lambda k, x, y, det, found, active: active & (k > 0), body, "flow inverse"
     )

@@ -98,8 +98,8 @@ class Velocity(nn.Module):
         v = self._place(values) + (shared + t * first.weight[:, 2])
         tangents = self._place([slope * dual[1:] for slope in slopes])
         for layer in rest:
-            value, slope = activations.with_slope(self.activation, v)
-            v, tangents = layer(value), (slope * tangents) @ layer.weight.T
+            value, tangents = activations.push(self.activation, v, tangents)
+            v, tangents = layer(value), tangents @ layer.weight.T
         return torch.cat([v[None], tangents])
 
     # --- columns -----------------------------------------------------------------------
