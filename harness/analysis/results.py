@@ -17,6 +17,7 @@ from harness.analysis.combine import Estimate, over_seeds
 from harness.analysis.process_pooling import joined
 from harness.analysis.renew import renewed
 from harness.analysis.validity import stale
+from harness.store.damage import damage
 from harness.store.folder import ResultsFolder
 from harness.store.frame import STALE, frame
 from harness.store.stored import LABELS, NOT_RUN, Stored
@@ -62,8 +63,8 @@ class Results:
         """What is stored, its records as today's analysis makes them, stale ones marked."""
         with ResultsFolder(folder) as store, store.as_it_is():
             plan, trials = store.plan(), store.trials()
-            damage = store.damage(trials).items()
-            trials |= {key: _damaged(trials[key], why) for key, why in damage if key in trials}
+            damaged = damage(store, trials).items()
+            trials |= {key: _damaged(trials[key], why) for key, why in damaged if key in trials}
             trials = {key: renewed(trial) for key, trial in trials.items()}
             table = frame(plan["trials"], trials, stale(store, trials), all)
         return cls(Path(folder), table, plan, trials)

@@ -9,8 +9,7 @@ from harness.materials import mitsuba_textures
 from harness.materials.surface_inputs import REASONS, Seen
 
 _CLASSES = {
-    "Hair": "is of a fibre and scatters into all directions around it; expected a BSDF of"
-    " surfaces",
+    "Hair": "is of a fibre and scatters into all directions around it; expected a BSDF of surfaces",
     "Null": "is no surface: light passes straight through it",
     "MaskBSDF": "lets light pass straight through where its opacity is below one; expected the"
     " BSDF inside of it alone",

@@ -95,8 +95,7 @@ def _compared(placed: Any, si: Any, active: Any) -> tuple[int, int]:
     scale = dr.select(reflects, wo.z, 0)
     dr.eval(truth, wo, scale, c, nudged)  # at once: the numbers below are then no more kernels
     truth, there, x, y, scale = (
-        np.broadcast_to(np.array(v), RAYS)
-        for v in (truth, active, wo.x, wo.y, scale)
+        np.broadcast_to(np.array(v), RAYS) for v in (truth, active, wo.x, wo.y, scale)
     )
     # Both sets of conditions in one kernel, of half the size.
     rows = [mi.Float(np.concatenate([np.broadcast_to(np.array(v), RAYS) for v in pair]))

@@ -4,13 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from harness.store import files
+from harness.store.folder import ResultsFolder
 from harness.store.stored import DAMAGED, Stored
-
-if TYPE_CHECKING:
-    from harness.store.folder import ResultsFolder
 
 
 def damage(store: ResultsFolder, trials: Mapping[str, Stored] | None = None) -> dict[str, str]:

@@ -22,7 +22,6 @@ from typing import TYPE_CHECKING, Any, Self
 from harness.core.protocol.errors import InputError
 from harness.store import files
 from harness.store.bodies import Texts, body_of, stored_of
-from harness.store.damage import damage
 from harness.store.database import Damaged, connect, explained, transaction
 from harness.store.packing import array_bytes, array_of, digest, json_bytes, pack, parsed, unpack
 from harness.store.stored import LABELS, NOT_RUN, Stored
@@ -250,10 +249,6 @@ class ResultsFolder:
                 key,
             ).fetchall()
         return {name: array_of(self._intact(key, name, kept, body)) for name, kept, body in rows}
-
-    def damage(self, trials: Mapping[str, Stored] | None = None) -> dict[str, str]:
-        """What is wrong with stored trials, by key; see :func:`harness.store.damage.damage`."""
-        return damage(self, trials)
 
     def array_damage(self) -> dict[str, str]:
         """What is wrong with raw arrays, by trial."""

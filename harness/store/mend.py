@@ -12,6 +12,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from harness.core.protocol.errors import InputError
+from harness.store.damage import damage
 from harness.store.database import ASIDE, FILE, Damaged, connect, explained
 from harness.store.folder import ResultsFolder
 
@@ -36,7 +37,7 @@ def mend(folder: Path, say: Callable[[str], None]) -> None:
         aside = _rebuild(folder)
         say(f"{folder / FILE}: was damaged; kept as {aside.name}, what can be read is taken over")
     with ResultsFolder(folder, write=True) as results:
-        found = results.damage()
+        found = damage(results)
         if found:
             results.set_aside(found)
     for reason in found.values():
