@@ -10,7 +10,7 @@ import numpy as np
 from harness.core.record import Record
 from harness.measures.base import Outcome
 from harness.store import write
-from harness.store.damage import damage
+from harness.store.damage import damage as damage_of
 from harness.store.folder import ResultsFolder
 from harness.store.stored import Stored
 
@@ -60,7 +60,7 @@ def make(folder: Path, keys: Sequence[str] = KEYS, noise: int = 0) -> Path:
 def consistent(store: ResultsFolder) -> int:
     """How many trials there are; each is whole, and all parts of it are of one save."""
     trials = store.trials()
-    assert damage(store, trials) == {}
+    assert damage_of(store, trials) == {}
     for trial in trials.values():
         number = trial.records[0]["value"]
         assert trial.documents["about"] == f"trial {int(number)}"

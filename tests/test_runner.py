@@ -20,7 +20,7 @@ from harness.core.protocol.errors import InputError
 from harness.runner import run as running
 from harness.runner.progress import Pace, duration
 from harness.runner.run import Options, run
-from harness.store.damage import damage
+from harness.store.damage import damage as damage_of
 from harness.store.folder import ResultsFolder
 from harness.store.stored import STATE, Stored
 from harness.suite.load import load
@@ -59,7 +59,7 @@ def trial_of(folder: Path, key: str) -> Stored:
 def whole(folder: Path) -> dict[str, Stored]:
     """All stored trials; none of them is damaged."""
     with ResultsFolder(folder / "out") as store:
-        assert damage(store) == {}
+        assert damage_of(store) == {}
         return store.trials()
 
 

@@ -15,7 +15,7 @@ import pytest
 from harness import load_results
 from harness.cli.main import main
 from harness.core.protocol.errors import InputError
-from harness.store.damage import damage
+from harness.store.damage import damage as damage_of
 from harness.store.database import FILE, MARK
 from harness.store.folder import ResultsFolder
 from harness.store.lock import locked
@@ -142,7 +142,7 @@ def test_damage_is_an_error_row_then_set_aside_then_stored_again(
     frame = load_results(folder)
     assert (list(frame["status"]), list(frame["value"])) == (["ok"] * 3, [0.0, 1.0, 2.0])
     with ResultsFolder(folder) as store:
-        assert damage(store) == {}
+        assert damage_of(store) == {}
         assert store.trial(FIRST).documents == {"about": "trial 0"}
         assert store.arrays(FIRST)["numbers"].tolist() == [0.0] * 64
 
@@ -201,7 +201,7 @@ def test_a_page_that_is_overwritten_costs_what_was_on_it(tmp_path: Path):
     assert said, "it is noticed"
     with ResultsFolder(folder) as store:
         store.check()
-        assert damage(store) == {}
+        assert damage_of(store) == {}
         found = store.trials()
         assert all(t.records[0]["value"] == keys.index(k) for k, t in found.items())
         assert len(found) > 20, "the larger part is taken over"
@@ -225,7 +225,7 @@ def test_a_file_cut_short_is_rebuilt_of_what_is_readable(tmp_path: Path, share: 
         assert len(list(folder.glob(f"{FILE}.damaged-*"))) == 1, "nothing is thrown away"
     with ResultsFolder(folder, write=True) as store:
         store.check()
-        assert damage(store) == {}
+        assert damage_of(store) == {}
         assert store.keys() <= set(keys)
         stores.save(store, keys[0], 0)
         assert store.trial(keys[0]).records[0]["value"] == 0
