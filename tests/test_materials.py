@@ -240,7 +240,7 @@ def test_measured(tmp_path):
         ({"name": "x", "type": "measured", "file": "text.bsdf"}, "does not begin with"),
         ({"name": "x", "type": "measured", "file": "short.bsdf"}, "cut short"),
         ({"name": "x", "type": "measured", "file": "header.bsdf"}, "damaged"),
-        ({"name": "x", "type": "measured", "file": "spectra.bsdf"}, "'_rgb' version"),
+        ({"name": "x", "type": "measured", "file": "spectra.bsdf"}, "no field 'wavelengths'"),
         ({"name": "x", "type": "measured", "file": "other.bsdf"}, "no field 'ndf'"),
         ({"name": "x", "type": "mitsuba", "file": "no.xml"}, "no such file"),
         ({"name": "x", "type": "mitsuba", "file": "text.bsdf"}, "is not XML"),

@@ -333,7 +333,12 @@ def test_xml_scene_that_mitsuba_refuses(tmp_path):
     assert "\n" not in str(refused.value)
 
 
-def test_xml_scene_has_no_native_render(tmp_path):
-    """Which the caller is told."""
-    with pytest.raises(Unsupported, match="user's file"):
-        prepare_native(xml_scene(tmp_path, "glaze"), white(), 8)
+def test_xml_scene_by_mitsuba_alone(tmp_path):
+    """The material's own BSDF in the user's file, and the image of the cosine agrees with it."""
+    material = mitsuba("diffuse", reflectance=0.7)
+    native = prepare_native(xml_scene(tmp_path, "glaze"), material, 40)
+    own = prepare(xml_scene(tmp_path, "glaze"), material, ready("cosine", material), 40)
+    assert native.bsdf is material.bsdf
+    (a, b), mask = (ready_.render(64, 3) for ready_ in (native, own)), own.mask
+    error = math.sqrt((a.variance[mask].mean() + b.variance[mask].mean()) / 64 / mask.sum())
+    assert a.mean[mask].mean() == pytest.approx(b.mean[mask].mean(), abs=5 * error + 1e-4)

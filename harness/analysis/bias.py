@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 from harness.analysis.results import Results
 from harness.stats.ztest import holm
@@ -25,6 +26,33 @@ def corrected_p(results: Results) -> dict[Key, float]:
     for key, p in zip(keys, holm(rows["value"]), strict=True):
         corrected[key] = min(float(p), corrected.get(key, 1.0))
     return corrected
+
+
+@dataclass(frozen=True)
+class DecidingTest:
+    """One of several seeds' tests: that of the smallest p-value."""
+
+    seed: int
+    seeds: int
+    p: float
+    z: float
+
+
+def deciding_test(results: Results, material: str, method: str, scene: str) -> DecidingTest | None:
+    """The test that a cell of several seeds is called biased by; None if there is no score.
+
+    A mean of scores over seeds would not go with the smallest p-value.
+    """
+    rows = results.frame
+    rows = rows[(rows["measure"] == MEASURE) & (rows["material"] == material)]
+    rows = rows[(rows["method"] == method) & (rows["scene"] == scene) & (rows["status"] == "ok")]
+    metrics = rows.pivot_table(index="seed", columns="metric", values="value")
+    if not {"bias-p", "bias-z"} <= set(metrics.columns):
+        return None
+    metrics = metrics.dropna(subset=["bias-p", "bias-z"])
+    seed = metrics["bias-p"].idxmin()
+    p, z = (float(metrics[key][seed]) for key in ("bias-p", "bias-z"))
+    return DecidingTest(int(seed), len(metrics), p, z)
 
 
 def bias_warnings(results: Results) -> Callable[[str, str, str], str]:

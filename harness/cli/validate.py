@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import sys
+
 import typer
 
 from harness.cli.suites import Device, Suite
@@ -15,17 +17,26 @@ def register(app: typer.Typer) -> None:
         suite: Suite,
         device: Device = "cpu",
     ) -> None:
-        """Check every name, key, type, file and adapter of a suite, in all its profiles."""
-        from harness.runner import preflight
+        """Check every name, key, type, file and adapter of a suite, in all its profiles.
+
+        What the suite describes itself is built once and rendered in 8 x 8 pixels. All mistakes
+        are listed.
+        """
+        from harness.core.protocol.errors import Mistakes
+        from harness.runner import preflight, rehearsal
         from harness.suite.load import load
         from harness.suite.plan import make_plan
 
-        loaded = load(suite)
         preflight.ready(device)
+        try:
+            loaded = load(suite)
+            rehearsal.check(loaded, device)
+        except Mistakes as error:
+            for line in error.lines:
+                print(f"error: {' '.join(line.split())}", file=sys.stderr)
+            raise typer.Exit(2) from None
         for profile in loaded.suite.profiles or (None,):
             plan = make_plan(loaded, profile, device)
-            preflight.check_report(plan)
-            preflight.check_trials(plan, plan.trials)
             size = " x ".join(
                 f"{len(plan.labels(kind))} {kind}s" for kind in ("material", "method", "measure")
             )

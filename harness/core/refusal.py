@@ -11,7 +11,15 @@ from harness.core.protocol.errors import nearest
 
 def refusal(model: type[BaseModel], error: ValidationError) -> str:
     """The first complaint of ``error`` about data for ``model``, in one line."""
-    first = error.errors()[0]
+    return refusals(model, error)[0]
+
+
+def refusals(model: type[BaseModel], error: ValidationError) -> list[str]:
+    """All complaints of ``error`` about data for ``model``, a line each."""
+    return [_line(model, complaint) for complaint in error.errors()]
+
+
+def _line(model: type[BaseModel], first: Any) -> str:
     where = first["loc"]
     if first["type"] == "extra_forbidden":
         known = list(_model_at(model, where[:-1]).model_fields)

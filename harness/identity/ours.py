@@ -15,7 +15,7 @@ from harness.identity.tree import Tree
 TABLES = (
     "harness.effects.registry:EFFECTS",
     "harness.materials.hard.registry:MATERIALS",
-    "harness.materials.kinds:KINDS",
+    "harness.materials.registry:KINDS",
     "harness.scenes.library:SCENES",
 )
 """Units from which one entry is chosen by name."""

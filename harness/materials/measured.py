@@ -9,22 +9,36 @@ The file: the 12 bytes ``tensor_file\0``, a version of two bytes (1, 0), a count
 (uint32); then for each field the length of its name (uint16), the name, its dimension
 (uint16), type (uint8), offset from the start of the file (uint64) and shape (uint64 each).
 All numbers are little-endian.
+
+Files with spectra instead of colours are read, too: each spectrum becomes a colour in linear Rec.
+709 under the light D65, as Mitsuba turns any spectrum of a reflectance into one.
 """
 
 from __future__ import annotations
 
 import struct
+import tempfile
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
+from numpy.typing import NDArray
+
 from harness.core.protocol.errors import InputError
+from harness.materials.file_formats import said_of
 
 MAGIC = b"tensor_file\0"
-NEEDED = ("phi_i", "theta_i", "ndf", "sigma", "vndf", "luminance", "rgb", "jacobian")
-"""Fields that Mitsuba's ``measured`` reads in a colour variant."""
+NEEDED = ("phi_i", "theta_i", "ndf", "sigma", "vndf", "luminance", "jacobian")
+"""Fields that Mitsuba's ``measured`` reads, beside ``rgb`` in a colour variant."""
+SPECTRAL = ("spectra", "wavelengths")
+"""Fields that a file has instead of ``rgb``: [..., n, H, W], and n nanometres."""
 
-_BYTES = {1: 1, 2: 1, 3: 2, 4: 2, 5: 4, 6: 4, 7: 8, 8: 8, 9: 2, 10: 4, 11: 8}
-"""Bytes of one element, by the file's number of its type (u/int 8 to 64, float 16 to 64)."""
+_TYPES = dict(
+    enumerate("u1 i1 <u2 <i2 <u4 <i4 <u8 <i8 <f2 <f4 <f8".split(), start=1),
+)
+"""By the file's number of a type."""
+_BYTES = {code: np.dtype(kind).itemsize for code, kind in _TYPES.items()}
 
 
 class FieldHeader(NamedTuple):
@@ -50,9 +64,9 @@ def read_header(path: Path, where: str) -> list[FieldHeader]:
     except OSError as error:
         raise InputError(f"{where}: {path} cannot be read: {error.strerror}") from None
     if data[: len(MAGIC)] != MAGIC:
-        raise InputError(
-            f"{where}: {path} is not a measured BSDF: it does not begin with 'tensor_file'"
-        )
+        known = said_of(path)
+        is_one = f"it is {known}" if known else "it does not begin with 'tensor_file'"
+        raise InputError(f"{where}: {path} is not a measured BSDF of the RGL database: {is_one}")
     try:
         fields = _fields(data)
     except (struct.error, UnicodeDecodeError, KeyError):
@@ -82,15 +96,64 @@ def _fields(data: bytes) -> list[FieldHeader]:
 
 
 def check(path: Path, where: str) -> None:
-    """Refuse a file that is not a measured BSDF with colours."""
+    """Refuse a file that is not a measured BSDF with colours or spectra."""
     names = {item.name for item in read_header(path, where)}
-    missing = [name for name in NEEDED if name not in names]
-    if missing == ["rgb"] and "spectra" in names:
-        raise InputError(f"{where}: {path} holds spectra; expected the file's '_rgb' version")
+    needed = [*NEEDED, *(SPECTRAL if "spectra" in names else ("rgb",))]
+    missing = [name for name in needed if name not in names]
     if missing:
         raise InputError(f"{where}: {path} is not a measured BSDF: it has no field '{missing[0]}'")
 
 
-def bsdf(path: Path) -> dict[str, Any]:
-    """The Mitsuba dictionary."""
-    return {"type": "measured", "filename": str(path.resolve())}
+def bsdf(path: Path, where: str) -> Any:
+    """What Mitsuba reads: the dictionary of a file with colours, the BSDF of one with spectra."""
+    fields = read_header(path, where)
+    if any(item.name == "rgb" for item in fields):
+        return {"type": "measured", "filename": str(path.resolve())}
+    import mitsuba as mi
+
+    tensors = {item.name: tensor(path, item) for item in fields}
+    with tempfile.TemporaryDirectory() as folder:
+        coloured = Path(folder) / "rgb.bsdf"
+        spectra, wavelengths = (tensors.pop(name) for name in SPECTRAL)
+        coloured.write_bytes(written(tensors | {"rgb": colours(spectra, wavelengths)}))
+        return mi.load_dict({"type": "measured", "filename": str(coloured)})
+
+
+def tensor(path: Path, field: FieldHeader) -> NDArray:
+    """The data of one field."""
+    count = int(np.prod(field.shape))
+    values = np.fromfile(path, _TYPES[field.type], count, offset=field.offset)
+    return values.reshape(field.shape)
+
+
+def written(tensors: Mapping[str, NDArray]) -> bytes:
+    """A tensor file of these fields, in single precision where they are of floating point."""
+    codes = {np.dtype(kind): code for code, kind in _TYPES.items()}
+    head = MAGIC + bytes((1, 0)) + struct.pack("<I", len(tensors))
+    at = len(head) + sum(len(n.encode()) + 13 + 8 * a.ndim for n, a in tensors.items())
+    data = b""
+    for name, array in tensors.items():
+        array = array.astype("<f4") if array.dtype.kind == "f" else array
+        head += struct.pack("<H", len(name.encode())) + name.encode()
+        head += struct.pack("<HBQ", array.ndim, codes[array.dtype], at + len(data))
+        head += struct.pack(f"<{array.ndim}Q", *array.shape)
+        data += np.ascontiguousarray(array).tobytes()
+    return head + data
+
+
+def colours(spectra: NDArray, wavelengths: NDArray) -> NDArray[np.float32]:
+    """Linear Rec. 709 [..., 3, H, W] under D65 of spectra [..., n, H, W] at n nanometres.
+
+    Colours are linear in spectra, so those of n triangles between the wavelengths are all that
+    is asked of Mitsuba; on top of white, for it cuts off what is below zero.
+    """
+    import mitsuba as mi
+
+    grid = [float(w) for w in wavelengths]
+
+    def colour(values: NDArray) -> NDArray:
+        return np.array(mi.spectrum_list_to_srgb(grid, values.tolist(), False, True), np.float64)
+
+    white = np.ones(len(grid))
+    weights = np.array([colour(white + row) for row in np.eye(len(grid))]) - colour(white)
+    return np.einsum("...nhw,nc->...chw", spectra.astype(np.float64), weights).astype(np.float32)

@@ -3,28 +3,38 @@
 from __future__ import annotations
 
 import copy
+import math
 from collections.abc import Callable
 from typing import Any
 
 import drjit as dr
 import numpy as np
+import torch
 from torch import Tensor
 
 from harness.core.columns.bridge import Columns, Float, columns_of, tensor_of
 from harness.core.columns.material import ColumnMaterial
+from harness.core.protocol.disk import square_to_disk
 from harness.core.protocol.errors import InputError
 from harness.core.protocol.material import Material
+from harness.materials import mitsuba_refusals, surface_inputs
+from harness.materials.mitsuba_textures import Features, varying
+from harness.mitsuba_runtime import mitsuba_xml
 from harness.mitsuba_runtime.bitmaps import with_bitmaps
 
+EXTENT = 4.0
+"""A fit draws |dp_du| and |dp_dv|, lengths of a unit of texture, from 1/EXTENT to EXTENT."""
 
-def _mi() -> Any:
-    import mitsuba
 
-    if mitsuba.variant() is None:
+def mitsuba() -> Any:
+    """Mitsuba with a variant: the one that is set, or else that of the CPU."""
+    import mitsuba as mi
+
+    if mi.variant() is None:
         from harness.mitsuba_runtime.variant import use
 
         use("cpu")
-    return mitsuba
+    return mi
 
 
 class MitsubaMaterial(ColumnMaterial):
@@ -35,12 +45,17 @@ class MitsubaMaterial(ColumnMaterial):
     texture below it becomes features: its value at (u, v), one column per channel that
     varies. The condition is ``[u, v, features, wi.xy]`` with textures, ``[wi.xy]`` without.
 
+    A BSDF with bump maps reads the derivatives of the position, too, for a slope is a height over
+    a length: the condition is then ``[u, v, dp_du.xy, dp_dv.xy, features, wi.xy]``, in the local
+    frame, and the features are tilted normals instead of heights. Random conditions draw the two
+    lengths log-uniformly (:data:`EXTENT`), at right angles.
+
     It gives the effect ``texture`` where all its textures are bitmaps: without it each is the
     mean of its texels. For that a second BSDF is made, from the dictionary or by ``again()``.
 
     Raises:
-        InputError: the BSDF cannot be loaded, transmits, or has a delta lobe (which no
-            density on the disk represents).
+        InputError: the BSDF cannot be loaded, transmits, has a delta lobe (which no density on
+            the disk represents), reflects nothing, or reads what no condition carries.
     """
 
     def __init__(
@@ -52,22 +67,30 @@ class MitsubaMaterial(ColumnMaterial):
     ):
         self.name = name
         self._identity = identity
-        mi = _mi()
+        mi = mitsuba()
         if isinstance(bsdf, dict):
             again = lambda: mi.load_dict(with_bitmaps(mi, bsdf))  # noqa: E731
         try:
             self.bsdf = again() if isinstance(bsdf, dict) else bsdf
         except RuntimeError as error:
-            reason = " ".join(str(error).split())
+            reason = mitsuba_xml.said(str(error))
+            if "not found" in reason.lower():
+                reason += "; a plugin of your own in Python is named file.py:Class"
             raise InputError(f"material '{name}': Mitsuba cannot load it: {reason}") from None
         self._again, self._plain = again, None
-        self._refuse_what_a_disk_cannot_hold(mi)
-        self._textures = _varying_textures(mi, self.bsdf)
-        self.n_address = 2 if self._textures or self._varies_unseen(mi) else 0
-        self._channels = self._find_channels(mi)
-        self.n_features = len(self._channels)
-        bitmaps = all("data" in mi.traverse(texture) for _, texture in self._textures)
-        self.effects = frozenset({"texture"} if self._textures and bitmaps and again else ())
+        mitsuba_refusals.check_kind(mi, self.bsdf, name)
+        seen = surface_inputs.look(mi, self.bsdf)
+        mitsuba_refusals.check_seen(seen, name)
+        self.both_sides = seen.both_sides
+        self.carries_derivatives = surface_inputs.DERIVATIVES in seen.reads
+        self._features = Features(mi, self.bsdf, self.carries_derivatives)
+        self.n_features = len(self._features)
+        textures = varying(mi, self.bsdf)
+        self.n_address = 6 if self.carries_derivatives else 2 if textures else 0
+        if self.bsdf.needs_differentials():  # data of a mesh, without a texture
+            self.n_address = max(self.n_address, 2)
+        bitmaps = all("data" in mi.traverse(texture) for _, texture in textures)
+        self.effects = frozenset({"texture"} if textures and bitmaps and again else ())
 
     def with_effects(self, effects: frozenset[str]) -> Material:
         """See :meth:`Material.with_effects`; without ``texture``, every texture is its mean.
@@ -77,15 +100,15 @@ class MitsubaMaterial(ColumnMaterial):
         if "texture" in effects or not self.effects:
             return self
         if self._plain is None:
-            mi = _mi()
+            mi = mitsuba()
             plain = copy.copy(self)
             plain.bsdf, plain.effects = self._again(), frozenset()
-            plain._textures = _varying_textures(mi, plain.bsdf)
-            for _, texture in plain._textures:
+            for _, texture in varying(mi, plain.bsdf):
                 texels = mi.traverse(texture)
                 mean = np.array(texels["data"]).mean((0, 1), keepdims=True, dtype=np.float64)
                 texels["data"] = mi.TensorXf(mean.astype(np.float32))
                 texels.update()
+            plain._features = self._features.rebound(mi, plain.bsdf)
             plain._identity = {**self._identity, "effects": []}
             self._plain = plain
         return self._plain
@@ -99,17 +122,20 @@ class MitsubaMaterial(ColumnMaterial):
         return self._identity
 
     def places(self, uv: Tensor) -> Tensor:
-        """See :meth:`Material.places`."""
-        if not self.n_address or len(uv) == 0:
-            return uv.new_empty(len(uv), self.n_address + self.n_features)
-        mi = _mi()
-        si = dr.zeros(mi.SurfaceInteraction3f, len(uv))
-        si.uv = mi.Point2f(*columns_of(uv))
-        return tensor_of(*self._place(si), rows=len(uv))
+        """See :meth:`Material.places`; a unit of texture is a unit of length."""
+        return self._places(uv, uv.new_ones(len(uv), 2))
+
+    def conditions(self, n: int, generator: torch.Generator, device: str = "cpu") -> Tensor:
+        """See :meth:`Material.conditions`; derivatives are drawn where they are carried."""
+        if not self.carries_derivatives:
+            return super().conditions(n, generator, device)
+        u = torch.rand(n, 6, generator=generator).to(device)
+        lengths = torch.exp((2 * u[:, 4:] - 1) * math.log(EXTENT))
+        return torch.cat([self._places(u[:, :2], lengths), square_to_disk(u[:, 2:4])], 1)
 
     def eval_columns(self, c: Columns, wo: Columns) -> Any:
         """BSDF without cosine over columns: a Mitsuba colour."""
-        mi = _mi()
+        mi = mitsuba()
         si = self.interaction(c)
         x, y = wo
         cos_squared = 1 - x * x - y * y
@@ -125,7 +151,7 @@ class MitsubaMaterial(ColumnMaterial):
 
     def interaction(self, c: Columns) -> Any:
         """Surface interactions that have the given conditions."""
-        mi = _mi()
+        mi = mitsuba()
         x, y = c[-2:]
         si = dr.zeros(mi.SurfaceInteraction3f, dr.width(x))
         # wi lies on the disk; rounding may push the rim out by one ulp, not a direction away.
@@ -137,11 +163,13 @@ class MitsubaMaterial(ColumnMaterial):
         si.n = mi.Normal3f(0, 0, 1)
         # Normal and bump maps build their frame from these.
         si.dp_du, si.dp_dv = mi.Vector3f(1, 0, 0), mi.Vector3f(0, 1, 0)
+        if self.carries_derivatives:
+            si.dp_du, si.dp_dv = mi.Vector3f(c[2], c[3], 0), mi.Vector3f(c[4], c[5], 0)
         return si
 
     def native_sample_columns(self, c: Columns, u: Columns) -> tuple[Float, Float, Float]:
         """The BSDF's own sampler: ``(x, y, pdf per disk area)``; invalid samples off the disk."""
-        mi = _mi()
+        mi = mitsuba()
         sample, _ = self.bsdf.sample(
             mi.BSDFContext(), self.interaction(c), u[0], mi.Point2f(u[1], u[2]), True
         )
@@ -153,7 +181,7 @@ class MitsubaMaterial(ColumnMaterial):
 
     def native_pdf_columns(self, c: Columns, wo: Columns) -> Float:
         """Density per disk area of :meth:`native_sample_columns`."""
-        mi = _mi()
+        mi = mitsuba()
         x, y = wo
         cos_squared = 1 - x * x - y * y
         inside = cos_squared > 0
@@ -165,64 +193,22 @@ class MitsubaMaterial(ColumnMaterial):
     def _place(self, si: Any) -> Columns:
         if not self.n_address:
             return []
-        values = [texture.eval(si) for _, texture in self._textures]
-        return [si.uv.x, si.uv.y] + [values[t][channel] for t, channel in self._channels]
+        found = [si.uv.x, si.uv.y]
+        if self.carries_derivatives:
+            # What of them lies along the normal changes no slope.
+            du, dv = si.to_local(si.dp_du), si.to_local(si.dp_dv)
+            found += [du.x, du.y, dv.x, dv.y]
+        return found + self._features(si)
 
-    def _find_channels(self, mi: Any) -> list[tuple[int, int]]:
-        """Texture channels that vary over uv and repeat no earlier one of their texture."""
-        grid = dr.linspace(mi.Float, 0.5 / 64, 1 - 0.5 / 64, 64)
-        u, v = dr.meshgrid(grid, grid)
-        si = dr.zeros(mi.SurfaceInteraction3f, 64 * 64)
-        si.uv = mi.Point2f(u, v)
-        found = []
-        for t, (_, texture) in enumerate(self._textures):
-            seen: list[Any] = []
-            for channel, value in enumerate(texture.eval(si)):
-                column = value.numpy()
-                if column.max() > column.min() and not any((column == s).all() for s in seen):
-                    seen.append(column)
-                    found.append((t, channel))
-        return found
-
-    def _varies_unseen(self, mi: Any) -> bool:
-        """Whether the BSDF needs uv for something that is no texture of its own (mesh data)."""
-        return bool(self.bsdf.needs_differentials())
-
-    def _refuse_what_a_disk_cannot_hold(self, mi: Any) -> None:
-        flags = self.bsdf.flags()
-        if mi.has_flag(flags, mi.BSDFFlags.Delta):
-            raise InputError(
-                f"material '{self.name}': has a delta lobe, which no density can represent;"
-                " expected rough lobes only"
-            )
-        if mi.has_flag(flags, mi.BSDFFlags.Transmission):
-            raise InputError(f"material '{self.name}': transmits light; expected a reflective BSDF")
-
-
-def _varying_textures(mi: Any, bsdf: Any) -> list[tuple[str, Any]]:
-    """Every spatially varying texture below ``bsdf``, by path, in a fixed order."""
-    found, queue = [], [("", bsdf)]
-
-    class Children(mi.TraversalCallback):
-        def __init__(self, path: str):
-            super().__init__()
-            self.path = path
-
-        def put_object(self, name: str, child: Any, *_: Any) -> None:
-            queue.append((f"{self.path}.{name}", child))
-
-        def put(self, name: str, child: Any, *_: Any) -> None:
-            if isinstance(child, mi.Object):
-                self.put_object(name, child)
-
-        def put_value(self, *_: Any) -> None:
-            pass
-
-    while queue:
-        path, node = queue.pop(0)
-        if isinstance(node, mi.Texture):
-            if node.is_spatially_varying():
-                found.append((path, node))
-        elif node is not None:
-            node.traverse(Children(path))
-    return sorted(found, key=lambda item: item[0])
+    def _places(self, uv: Tensor, lengths: Tensor) -> Tensor:
+        """Address and features where dp_du and dp_dv have ``lengths`` [N, 2] along x and y."""
+        if not self.n_address or len(uv) == 0:
+            return uv.new_empty(len(uv), self.n_address + self.n_features)
+        mi = mitsuba()
+        si = dr.zeros(mi.SurfaceInteraction3f, len(uv))
+        si.uv = mi.Point2f(*columns_of(uv))
+        si.n = mi.Normal3f(0, 0, 1)
+        si.sh_frame = mi.Frame3f(mi.Vector3f(1, 0, 0), mi.Vector3f(0, 1, 0), mi.Vector3f(0, 0, 1))
+        x, y = columns_of(lengths)
+        si.dp_du, si.dp_dv = mi.Vector3f(x, 0, 0), mi.Vector3f(0, y, 0)
+        return tensor_of(*self._place(si), rows=len(uv))

@@ -4,7 +4,8 @@ A specification is a name, or a mapping::
 
     {name: paint,     type: measured, file: paint.bsdf}
     {name: clearcoat, type: mitsuba,  bsdf: {type: principled, roughness: 0.2}}
-    {name: theirs,    type: mitsuba,  file: scene.xml, id: wood}
+    {name: theirs,    type: mitsuba,  file: scene.xml, id: wood, parameters: {shine: 0.2}}
+    {name: own,       type: mitsuba,  bsdf: {type: plugin.py:MyBSDF, alpha: 0.2}}
     {name: carpet,    type: btf,      file: carpet.btf}
     {name: rim-lobe,  type: hard}    # or its name alone: see harness.materials.hard
     {name: polished,  type: family,   family: disney, fix: {roughness: 0.1}}   # or disney alone
@@ -19,21 +20,36 @@ from __future__ import annotations
 
 import ast
 import importlib
+import pkgutil
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from harness.core.protocol.errors import InputError, nearest
 from harness.core.protocol.material import Material
+from harness.materials import kinds
 from harness.materials.families import registry as families
 from harness.materials.hard import registry as hard
-from harness.materials.kinds import KINDS, Kind, where_of
+from harness.materials.kinds.base import Kind, where_of
 from harness.materials.neural import files as neural
 
 LIBRARY = Path(__file__).parent / "library"
 PACKAGE = "harness.materials.library"
 
 Spec = str | Mapping[str, Any]
+
+
+def _found_kinds() -> dict[str, Kind]:
+    """The kind of every file of the folder that has one, by its type."""
+    modules = (
+        importlib.import_module(f"{kinds.__name__}.{item.name}")
+        for item in pkgutil.iter_modules(kinds.__path__)
+    )
+    found = [module.KIND for module in modules if hasattr(module, "KIND")]
+    return {kind.type: kind for kind in found}
+
+
+KINDS = _found_kinds()
 
 
 def names() -> list[str]:

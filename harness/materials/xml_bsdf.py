@@ -2,72 +2,70 @@
 
 from __future__ import annotations
 
-import copy
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
-from xml.etree import ElementTree
-from xml.etree.ElementTree import Element
 
 from harness.core.protocol.errors import InputError, nearest
 from harness.mitsuba_runtime import mitsuba_xml
-
-_CONTEXT = ("default", "texture", "bsdf", "spectrum", "include", "alias")
-"""Elements of a scene that a BSDF may refer to."""
+from harness.mitsuba_runtime.mitsuba_xml import MitsubaFile
 
 
-def find(path: Path, bsdf_id: str | None, where: str) -> tuple[Element, Element]:
-    """``(root, bsdf)`` of the file; ``bsdf_id`` chooses among several.
+def find(
+    path: Path,
+    bsdf_id: str | None,
+    where: str,
+    parameters: Mapping[str, Any] | None = None,
+) -> tuple[MitsubaFile, int]:
+    """The file and the index of the BSDF's node in it; ``bsdf_id`` chooses among several.
 
     Raises:
         InputError: the file has no such BSDF, or several and no id says which.
     """
-    root = mitsuba_xml.read(path, where)
-    found = [root] if root.tag == "bsdf" else [e for e in root if e.tag == "bsdf"]
-    if not found:
-        # Without one of its own at the top level, take those inside the shapes.
-        found = [e for shape in root.iter("shape") for e in shape if e.tag == "bsdf"]
+    file = mitsuba_xml.read(path, where, parameters)
+    known = file.ids("BSDF")
     if bsdf_id is not None:
-        chosen = [e for e in root.iter("bsdf") if e.get("id") == bsdf_id]
+        chosen = [i for i, node in file.nodes("BSDF") if node.props.id() == bsdf_id]
         if not chosen:
-            hint = nearest(bsdf_id, mitsuba_xml.bsdf_ids(root))
+            hint = nearest(bsdf_id, known)
             raise InputError(f"{where}: {path} has no BSDF of id '{bsdf_id}'{hint}")
-        return root, chosen[0]
+        return file, chosen[0]
+    state = file.editable()
+    bsdfs = {i for i, _ in mitsuba_xml.nodes(state, "BSDF")}
+
+    def below(nodes: list[Any]) -> list[int]:
+        children = [child for node in nodes for _, child in mitsuba_xml.references(node)]
+        return [i for i in dict.fromkeys(children) if i in bsdfs]
+
+    # Without one of its own at the top level, take those inside the shapes.
+    found = [0] if file.root == "BSDF" else below([state.nodes[0]])
+    found = found or below([node for _, node in mitsuba_xml.nodes(state, "Shape")])
     if not found:
         raise InputError(f"{where}: {path} has no <bsdf>")
     if len(found) > 1:
-        ids = ", ".join(mitsuba_xml.bsdf_ids(root)) or "none has an id"
+        ids = ", ".join(known) or "none has an id"
         raise InputError(
             f"{where}: {path} has {len(found)} BSDFs; expected the key 'id' to choose one ({ids})"
         )
-    return root, found[0]
+    return file, found[0]
 
 
-def load(path: Path, bsdf_id: str | None, where: str) -> Any:
+def load(
+    path: Path,
+    bsdf_id: str | None,
+    where: str,
+    parameters: Mapping[str, Any] | None = None,
+) -> Any:
     """The BSDF as Mitsuba loads it (its variant must be set)."""
     import mitsuba as mi
 
-    root, bsdf = find(path, bsdf_id, where)
-    root, bsdf = _with_files(root, path, bsdf)
+    file, index = find(path, bsdf_id, where, parameters)
+    state, reference = file.editable(), mi.Properties.ResolvedReference
+    if index == 0:
+        state.nodes.append(mi.parser.SceneNode(state.nodes[0]))
+        index = len(state.nodes) - 1
     # Mitsuba gives no access to the BSDFs of a scene but through shapes that wear them.
-    scene = Element("scene", version=root.get("version", ""))
-    if root is not bsdf:
-        scene.extend(copy.deepcopy(e) for e in root if e.tag in _CONTEXT and e is not bsdf)
-    shape = ElementTree.SubElement(scene, "shape", type="rectangle")
-    bsdf = copy.deepcopy(bsdf)
-    bsdf.attrib.pop("version", None)
-    shape.append(bsdf)
-    try:
-        loaded = mi.load_string(ElementTree.tostring(scene, encoding="unicode"))
-    except RuntimeError as error:
-        reason = " ".join(str(error).split())
-        raise InputError(f"{where}: Mitsuba cannot load {path}: {reason}") from None
-    return loaded.shapes()[0].bsdf()
-
-
-def _with_files(root: Element, path: Path, bsdf: Element) -> tuple[Element, Element]:
-    """Copies of ``root`` and of ``bsdf`` in it, with the files they name resolved."""
-    index = list(root.iter()).index(bsdf)
-    root = copy.deepcopy(root)
-    for element, attribute, file in mitsuba_xml.file_values(root, path):
-        element.set(attribute, str(file.resolve()))
-    return root, list(root.iter())[index]
+    shape = mitsuba_xml.add(state, "Shape", "rectangle", bsdf=reference(index))
+    scene = mitsuba_xml.add(state, "Scene", "scene", shape=reference(shape))
+    state.nodes[0] = mi.parser.SceneNode(state.nodes[scene])
+    return mitsuba_xml.instantiate(state, path.parent, where).shapes()[0].bsdf()

@@ -13,6 +13,8 @@ import numpy as np
 
 from harness.stats.moments import one_sample_variance
 
+_renders = 0
+
 LANES = 1 << 18
 """Camera rays per pass: large enough to amortise a launch, small enough for the cache."""
 
@@ -55,6 +57,11 @@ def evaluated_mode() -> Iterator[None]:
             dr.set_flag(f, value)
 
 
+def rendering() -> bool:
+    """Whether :func:`render` is at work."""
+    return _renders > 0
+
+
 def render(
     scene: mi.Scene, integrator: mi.Integrator, spp: int, seed: int, symbolic: bool = False
 ) -> Pass:
@@ -66,7 +73,8 @@ def render(
     Raises:
         KeyboardInterrupt: the user interrupted the render.
     """
-    film = scene.sensors()[0].film().size()
+    global _renders
+    film = scene.sensors()[0].film().crop_size()
     size = min(spp, max(1, LANES // int(film[0] * film[1])))
     start = time.perf_counter()
     total: np.ndarray | None = None
@@ -76,8 +84,12 @@ def render(
             # Mitsuba mixes seed and lane into its streams: any distinct integers will do.
             # Not mi.render: it wraps an interrupt, among other things, in a RuntimeError.
             stream = (seed * 4099 + k) % (1 << 32)
-            image = integrator.render(scene, scene.sensors()[0], seed=stream, spp=count)
-            dr.eval(image)
+            _renders += 1
+            try:
+                image = integrator.render(scene, scene.sensors()[0], seed=stream, spp=count)
+                dr.eval(image)
+            finally:
+                _renders -= 1
             dr.sync_thread()
             if integrator.should_stop():
                 # Mitsuba catches the signal while it renders, and returns half an image.
@@ -99,7 +111,7 @@ def render(
 def coverage(scene: mi.Scene, bsdf: mi.BSDF, samples: int = 64, seed: int = 0) -> np.ndarray:
     """Bool [H, W]: pixels that show nothing but ``bsdf`` in ``samples`` random rays each."""
     sensor = scene.sensors()[0]
-    width, height = (int(v) for v in sensor.film().size())
+    width, height = (int(v) for v in sensor.film().crop_size())
     pixel = dr.repeat(dr.arange(mi.UInt32, width * height), samples)
     sampler = mi.load_dict({"type": "independent"})
     sampler.seed(seed, width * height * samples)
@@ -109,6 +121,7 @@ def coverage(scene: mi.Scene, bsdf: mi.BSDF, samples: int = 64, seed: int = 0) -
     )
     ray, _ = sensor.sample_ray(0.0, sampler.next_1d(), position, sampler.next_2d())
     si = scene.ray_intersect(ray)
-    hit = si.is_valid() & (si.bsdf() == mi.BSDFPtr(bsdf)) & (si.wi.z > 0)
+    seen = mi.Mask(True) if getattr(bsdf, "both_sides", False) else si.wi.z > 0
+    hit = si.is_valid() & (si.bsdf() == mi.BSDFPtr(bsdf)) & seen
     count = dr.block_reduce(dr.ReduceOp.Add, dr.select(hit, mi.UInt32(1), 0), samples)
     return (count.numpy() == samples).reshape(height, width)

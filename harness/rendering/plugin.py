@@ -20,6 +20,7 @@ from harness.core.protocol.disk import luminance
 from harness.core.protocol.material import Material
 from harness.core.protocol.method import Method
 from harness.effects.base import Recipe
+from harness.rendering import passes
 from harness.rendering.meter import Meter
 
 _OFFERED: dict[str, mi.BSDF] = {}
@@ -48,10 +49,11 @@ def _one_condition(query: Callable[..., Any]) -> Callable[..., Any]:
 class SampledBSDF(mi.BSDF):
     """``material`` evaluated by itself, sampled by ``method``; usable in any scene.
 
-    Reflective and one-sided. Mitsuba's value of ``sample`` is f cos / pdf with the pdf per
-    solid angle, cos times the method's; or the method's own weight, if its pdf is no more than
-    an approximation, which then only weighs strategies. A sample off the disk has pdf 0 and
-    value 0; what is not a number becomes infinite, so that a broken method shows in the image.
+    Reflective; from behind black, unless the material is the same from both sides. Mitsuba's
+    value of ``sample`` is f cos / pdf with the pdf per solid angle, cos times the method's; or
+    the method's own weight, if its pdf is no more than an approximation, which then only weighs
+    strategies. A sample off the disk has pdf 0 and value 0; what is not a number becomes
+    infinite, so that a broken method shows in the image.
 
     Render it through :mod:`harness.rendering.passes`, which has Mitsuba evaluate BSDF calls
     one material at a time; a method in torch cannot run inside a symbolic call.
@@ -64,6 +66,7 @@ class SampledBSDF(mi.BSDF):
         self.in_columns = isinstance(method, ColumnMethod)
         self.nested = material.mitsuba_bsdf()
         self.eval_in_columns = self.nested is None and material.renders_in_columns
+        self.both_sides = material.both_sides
         self.shared: Columns | None = None
         self.spread = 0.0
         self.meter: Meter | None = None
@@ -71,6 +74,8 @@ class SampledBSDF(mi.BSDF):
         flags = mi.BSDFFlags.GlossyReflection | mi.BSDFFlags.FrontSide
         if material.n_address + material.n_features:
             flags = flags | mi.BSDFFlags.SpatiallyVarying
+        if self.both_sides:
+            flags = flags | mi.BSDFFlags.BackSide
         self.m_components = [flags]
         self.m_flags = self.lobe = flags
 
@@ -95,6 +100,7 @@ class SampledBSDF(mi.BSDF):
             bs = dr.zeros(mi.BSDFSample3f)
             bs.wo, bs.pdf, bs.eta = mi.Vector3f(0, 0, 1), 1, 1
             return bs, mi.Color3f(dr.inf)
+        si, turned = self.facing(si)
         front = mi.Mask(active) & (si.wi.z > 0)
         x, y, pdf, *weight = self._draw(si, [sample1, sample2.x, sample2.y], front)
         broken = front & (dr.isnan(x) | dr.isnan(y) | dr.isnan(pdf))
@@ -120,6 +126,7 @@ class SampledBSDF(mi.BSDF):
         value = dr.select(broken | dr.any(dr.isnan(value)), dr.inf, value)
         if self.meter is not None:
             self.meter.sampled(mi.Mask(active) & si.is_valid(), value)
+        bs.wo = turned(bs.wo)
         return bs, value
 
     def eval(self, ctx: Any, si: Any, wo: Any, active: Any = True) -> Any:
@@ -128,6 +135,8 @@ class SampledBSDF(mi.BSDF):
             return mi.Color3f(0)
         if self._untraceable():
             return mi.Color3f(dr.inf)
+        si, turned = self.facing(si)
+        wo = turned(wo)
         return self._value(ctx, si, wo, self._above(si, wo, active))
 
     def pdf(self, ctx: Any, si: Any, wo: Any, active: Any = True) -> Any:
@@ -136,6 +145,8 @@ class SampledBSDF(mi.BSDF):
             return mi.Float(0)
         if self._untraceable():
             return mi.Float(dr.inf)
+        si, turned = self.facing(si)
+        wo = turned(wo)
         above = self._above(si, wo, active)
         return dr.select(above, self._density(si, wo, above) * wo.z, 0)
 
@@ -152,15 +163,35 @@ class SampledBSDF(mi.BSDF):
         """For Mitsuba's messages."""
         return f"SampledBSDF[{self.material.name}, {self.method.name}]"
 
+    def facing(self, si: Any) -> tuple[Any, Callable[[Any], Any]]:
+        """``si`` seen from the front, and what turns local directions to that side and back."""
+        if not self.both_sides:
+            return si, lambda direction: direction
+        behind = si.wi.z < 0
+        front = mi.SurfaceInteraction3f(si)
+        front.wi = mi.Vector3f(si.wi.x, si.wi.y, dr.abs(si.wi.z))
+        return front, lambda d: mi.Vector3f(d.x, d.y, dr.select(behind, -d.z, d.z))
+
     def _untraceable(self) -> bool:
         """Whether a symbolic call is being traced, for which this pair would have to run torch.
 
         Dr.Jit traces a call through every BSDF alive, whether or not it is in the scene that
-        is rendered. What is then returned is infinite: no image with it looks fine.
+        is rendered. The harness renders such a scene in evaluated mode, so it is another's call;
+        what is then returned is infinite, and no image with it looks fine. Anybody else is told.
         """
         evaluated = self.nested is not None or self.eval_in_columns
         in_dr_jit = self.in_columns and evaluated and not self.own_eval
-        return not in_dr_jit and dr.flag(dr.JitFlag.SymbolicScope)
+        if in_dr_jit or not dr.flag(dr.JitFlag.SymbolicScope):
+            return False
+        if not passes.rendering():
+            raise RuntimeError(
+                f"'{self.method.name}' on '{self.material.name}' runs in PyTorch, which cannot be"
+                " traced into a symbolic call: render within"
+                " harness.rendering.passes.evaluated_mode(), or after"
+                " drjit.set_flag(drjit.JitFlag.SymbolicCalls, False) and the same for"
+                " SymbolicLoops (any render traces every BSDF that is alive)"
+            )
+        return True
 
     @staticmethod
     def _above(si: Any, wo: Any, active: Any) -> Any:

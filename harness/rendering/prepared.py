@@ -22,7 +22,7 @@ from harness.effects.base import Recipe
 from harness.effects.offer import recipe_of, require_of
 from harness.geometry.primitives import MaterialSpec
 from harness.materials import registry as materials
-from harness.rendering import build, counted_light, passes, plugin
+from harness.rendering import build, counted_light, hit_check, passes, plugin
 from harness.rendering.build_xml import build_xml
 from harness.rendering.effect_wrapper import RelayBSDF, needed
 from harness.rendering.meter import Meter
@@ -80,12 +80,15 @@ def prepare(
 
     Raises:
         InputError: an effect that the scene or the material cannot give.
+        Unsupported: the material's BSDF reads more of the scene than its conditions carry.
     """
     recipe = replace(_recipe(scene, material, sampling), paths=paths)
     material, method = _reduced(material, method, recipe)
     placed = bsdf(material, method)
     placed.follow(recipe, meter)
-    return _placed(scene, placed, resolution, recipe, meter)
+    ready = _placed(scene, placed, resolution, recipe, meter)
+    hit_check.check(ready.scene, placed)
+    return ready
 
 
 def prepare_native(
@@ -101,15 +104,13 @@ def prepare_native(
     not) and as a yardstick of speed (``"bsdf"``, or None for what the scene calls for).
 
     Raises:
-        Unsupported: the material is not a Mitsuba BSDF, or the scene is a file.
+        Unsupported: the material is not a Mitsuba BSDF.
     """
     recipe = _recipe(scene, material, sampling)
     material = material.with_effects(recipe.of(material.effects))
     bsdf = material.mitsuba_bsdf()
     if bsdf is None:
         raise Unsupported(f"material '{material.name}' is no Mitsuba BSDF")
-    if isinstance(scene, XmlScene):
-        raise Unsupported("a scene of the user's file is rendered with the harness's BSDF only")
     placed = RelayBSDF(bsdf, recipe) if needed(recipe, None) else bsdf
     return replace(_placed(scene, placed, resolution, recipe, None), symbolic=True)
 
@@ -175,7 +176,7 @@ def _placed(
 
 def pixel_angle(sensor: mi.Sensor) -> float:
     """Radians between the rays of two neighbouring pixels in the middle of the picture."""
-    step = 1 / int(sensor.film().size()[0])
+    step = 1 / int(sensor.film().crop_size()[0])
     rays = [
         sensor.sample_ray(0.0, 0.5, mi.Point2f(0.5 + shift, 0.5), mi.Point2f(0.5))[0]
         for shift in (0.0, step)

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 from harness.geometry.primitives import Array, MaterialSpec, Mesh, Sphere, Vec3
 
@@ -95,7 +96,8 @@ class XmlScene:
 
     ``file`` was found to be a Mitsuba scene with BSDFs of the ids in ``replace_bsdf``; each is
     replaced by the material of that specification, ``"tested"`` for the one under test.
-    ``lights``, ``camera_has_lens`` and ``media`` say what the file has.
+    ``parameters`` stand for the file's ``$names``; ``lights``, ``camera_has_lens`` and ``media``
+    say what the file has.
     """
 
     name: str
@@ -106,3 +108,4 @@ class XmlScene:
     lights: frozenset[str] = frozenset({"environment"})
     camera_has_lens: bool = False
     media: bool = False
+    parameters: Mapping[str, Any] = field(default_factory=dict)

@@ -4,6 +4,7 @@ A specification is a name, or a mapping::
 
     {name: studio-sphere, texture_repeat: 3, size: small, effects: [environment]}
     {name: with-mis, scene: studio-sphere, effects: [environment, emitter-sampling]}
+    {name: outside, scene: draped-cloth, environment: meadow.exr}
     {name: kitchen, file: kitchen.xml, replace_bsdf: table}
     {file: kitchen.xml, replace_bsdf: {table: tested, cup: suede}, effects: auto}
 
@@ -25,7 +26,8 @@ from harness.core.protocol.errors import InputError, nearest
 from harness.effects.offer import require_of
 from harness.effects.registry import checked
 from harness.materials import registry as materials
-from harness.scenes import library, xml
+from harness.mitsuba_runtime.mitsuba_xml import file_hash
+from harness.scenes import environment_file, library, xml
 from harness.scenes.base import Scene, XmlScene
 from harness.scenes.sizes import SIZES
 
@@ -69,6 +71,9 @@ def identity_of(
         "parameters": parameters,
         "effects": sorted(scene.effects),
     }
+    if isinstance(spec, Mapping) and "environment" in spec:
+        file = environment_file.path_of(spec, base_dir)
+        found["environment"] = file_hash(file, f"scene '{scene.name}'")
     around = {str(shape.material): shape.material for shape in scene.shapes if shape.material}
     if around:
         found["materials"] = [materials.identity(around[key]) for key in sorted(around)]
@@ -83,6 +88,8 @@ def make(spec: Spec, base_dir: Path | str | None = None) -> Scene | XmlScene:
     scene = replace(_function(name)(**parameters), name=shown)
     if isinstance(spec, Mapping) and "effects" in spec:
         scene = replace(scene, effects=checked(spec["effects"], f"scene '{shown}'"))
+    if isinstance(spec, Mapping) and "environment" in spec:
+        scene = environment_file.applied(scene, environment_file.path_of(spec, base_dir))
     require_of(scene)
     return scene
 
@@ -108,10 +115,10 @@ def _arguments(spec: Spec) -> tuple[str, str, dict[str, float | str]]:
     parameters = dict(defaults)
     where = f"scene '{shown}'"
     for key, value in spec.items():
-        if key in ("name", "scene", "effects"):
+        if key in ("name", "scene", "effects", "environment"):
             continue
         if key not in defaults:
-            known = ("effects", "file", "name", "replace_bsdf", "scene", *defaults)
+            known = ("effects", "environment", "file", "name", "replace_bsdf", "scene", *defaults)
             raise InputError(f"{where}: unknown key '{key}'{nearest(str(key), known)}")
         if isinstance(defaults[key], str):
             if value not in SIZES:

@@ -1,11 +1,10 @@
-"""A user's own Mitsuba scene, read without Mitsuba: what it has, and what is replaced in it."""
+"""A user's own Mitsuba scene: what it has, and what is replaced in it."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
-from xml.etree.ElementTree import Element
 
 from harness.core.protocol.errors import InputError, nearest
 from harness.effects.offer import require_of
@@ -14,18 +13,19 @@ from harness.materials import registry as materials
 from harness.mitsuba_runtime import mitsuba_xml
 from harness.scenes.base import TESTED, XmlScene
 
-KEYS = ("name", "file", "replace_bsdf", "effects")
+KEYS = ("name", "file", "replace_bsdf", "parameters", "effects")
 _KINDS = {
     "environment": ("constant", "envmap", "sky", "sun", "sunsky"),
     "area-lights": ("area",),
     "point-lights": ("point", "spot", "directional", "directionalarea", "projector"),
 }
 _LENSES = frozenset({"thinlens"})
+_CAMERAS = ("perspective", "thinlens", "orthographic")
 
 
-def light_kind(emitter: Element) -> str:
-    """The effect that an ``<emitter>`` belongs to; "" for a plugin that is not known here."""
-    kind = emitter.get("type", "")
+def light_kind(emitter: Any) -> str:
+    """The effect that an emitter's node belongs to; "" for a plugin that is not known here."""
+    kind = emitter.props.plugin_name()
     return next((effect for effect, kinds in _KINDS.items() if kind in kinds), "")
 
 
@@ -52,13 +52,21 @@ def make(spec: Mapping[str, Any], base_dir: Path | str | None) -> XmlScene:
         if key not in KEYS:
             raise InputError(f"{where}: unknown key '{key}'{nearest(str(key), KEYS)}")
     path = Path(base_dir or "") / file
-    root = mitsuba_xml.read(path, where)
-    if root.tag != "scene":
-        raise InputError(f"{where}: {path}: expected the root <scene>, got <{root.tag}>")
-    replaced = _replaced(spec.get("replace_bsdf"), root, path, where, base_dir)
-    if root.find("sensor") is None:
+    parameters = spec.get("parameters", {})
+    source = mitsuba_xml.read(path, where, parameters)
+    if source.root != "Scene":
+        kind = source.root.lower()
+        raise InputError(f"{where}: {path}: expected the root <scene>, got <{kind}>")
+    replaced = _replaced(spec.get("replace_bsdf"), source, where, base_dir)
+    cameras = [sensor.props.plugin_name() for _, sensor in source.nodes("Sensor")]
+    if not cameras:
         raise InputError(f"{where}: {path} has no <sensor>")
-    lights = frozenset(light_kind(emitter) for emitter in root.iter("emitter")) - {""}
+    if cameras[0] not in _CAMERAS:
+        raise InputError(
+            f"{where}: {path}: expected a camera ({', '.join(_CAMERAS)}), got the sensor"
+            f" '{cameras[0]}'"
+        )
+    lights = frozenset(light_kind(emitter) for _, emitter in source.nodes("Emitter")) - {""}
     if not lights:
         known = ", ".join(kind for kinds in _KINDS.values() for kind in kinds)
         raise InputError(f"{where}: {path} has no <emitter> of a type known here ({known})")
@@ -70,8 +78,9 @@ def make(spec: Mapping[str, Any], base_dir: Path | str | None) -> XmlScene:
         checked(spec.get("effects", _usual(lights)), where),
         f"{ids} of {path.name}",
         lights,
-        any(sensor.get("type") in _LENSES for sensor in root.iter("sensor")),
-        root.find(".//medium") is not None,
+        any(camera in _LENSES for camera in cameras),
+        bool(source.nodes("Medium")),
+        parameters,
     )
     require_of(scene)
     return scene
@@ -81,7 +90,9 @@ def identity(scene: XmlScene, base_dir: Path | str | None) -> dict[str, Any]:
     """What determines the scene, as JSON data: contents of files, never their paths."""
     return {
         "type": "xml",
-        "xml": mitsuba_xml.content_hash(scene.file, f"scene '{scene.name}'"),
+        "xml": mitsuba_xml.read(
+            scene.file, f"scene '{scene.name}'", scene.parameters
+        ).content_hash(),
         "replace_bsdf": {
             key: TESTED if spec == TESTED else materials.identity(spec, base_dir)
             for key, spec in scene.replace_bsdf.items()
@@ -96,10 +107,10 @@ def _usual(lights: frozenset[str]) -> list[str]:
 
 
 def _replaced(
-    given: Any, root: Element, path: Path, where: str, base_dir: Path | str | None
+    given: Any, source: mitsuba_xml.MitsubaFile, where: str, base_dir: Path | str | None
 ) -> dict[str, Any]:
     """Material specifications by the id of the BSDF that they replace."""
-    known = mitsuba_xml.bsdf_ids(root)
+    known, path = source.ids("BSDF"), source.path
     if isinstance(given, str):
         given = [given]
     ids = isinstance(given, list | Mapping) and given and all(isinstance(x, str) for x in given)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -10,16 +10,16 @@ from typing import Any
 from pydantic import ValidationError
 
 from harness.core.paths import ROOT
-from harness.core.protocol.errors import InputError, nearest
-from harness.core.refusal import refusal
+from harness.core.protocol.errors import InputError, Mistakes, nearest
+from harness.core.refusal import refusals
 from harness.core.yamlfile import parse_yaml, read_yaml
 from harness.suite.schema import MethodSpec, NamedSpec, Suite
 from harness.suite.sweep import expand
 
 SUITES = ROOT / "suites"
 LISTS = ("materials", "methods", "scenes", "measures")
-# Entries that name a file: our own 'file' and Mitsuba's 'filename'.
-FILE_KEYS = ("file", "filename")
+# Entries that name a file: our own 'file' and 'environment', and Mitsuba's 'filename'.
+FILE_KEYS = ("file", "filename", "environment")
 
 
 @dataclass(frozen=True)
@@ -72,6 +72,14 @@ def load(name: str | Path) -> Loaded:
     for key in LISTS:
         if isinstance(data.get(key), list):
             data[key] = [{"name": x} if isinstance(x, str) else x for x in data[key]]
+    if isinstance(data.get("scenes"), list):
+        # A file has a name of its own.
+        data["scenes"] = [
+            {"name": Path(x["file"]).stem} | x
+            if _is_map(x) and "name" not in x and isinstance(x.get("file"), str)
+            else x
+            for x in data["scenes"]
+        ]
     for profile in (data.get("profiles") or {}).values() if _is_map(data.get("profiles")) else ():
         if _is_map(profile) and _is_map(profile.get("measures")):
             # `equal-spp:` with nothing after it is a measure with its own settings.
@@ -81,32 +89,47 @@ def load(name: str | Path) -> Loaded:
     try:
         suite = Suite.model_validate(data)
     except ValidationError as error:
-        raise InputError(f"{path}: {refusal(Suite, error)}") from None
-    try:
-        _label(suite.methods, path.parent)
-        suite.methods = expand(suite.methods)
-        _locate_files([*suite.materials, *suite.scenes], path.parent)
-        _check_references(suite)
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from None
+        raise Mistakes(f"{path}: {line}" for line in refusals(Suite, error)) from None
+    mistakes: list[str] = []
+    for spec in [*suite.materials, *suite.scenes]:
+        _noted(mistakes, lambda s=spec: _locate_files([s], path.parent))
+    for index, method in enumerate(suite.methods):
+        _noted(mistakes, lambda i=index, m=method: _label(i, m, path.parent))
+    if not mistakes:
+        _noted(mistakes, lambda: _finish(suite))
+    if mistakes:
+        raise Mistakes(f"{path}: {line}" for line in mistakes)
     return Loaded(suite, path, text)
 
 
-def _label(methods: list[MethodSpec], folder: Path) -> None:
-    """Make paths of adapters absolute and give every method its label."""
+def _finish(suite: Suite) -> None:
+    suite.methods = expand(suite.methods)
+    _give_parameters(suite)
+    _check_references(suite)
+
+
+def _noted(mistakes: list[str], check: Callable[[], None]) -> None:
+    """Run ``check``; what it refuses is one more of the mistakes."""
+    try:
+        check()
+    except InputError as error:
+        mistakes.append(str(error))
+
+
+def _label(index: int, spec: MethodSpec, folder: Path) -> None:
+    """Make the path of an adapter absolute and give the method its label."""
     from harness.core import registry
 
-    for index, spec in enumerate(methods):
-        file, colon, cls = spec.name.rpartition(":")
-        if file.endswith(".py"):
-            spec.name = f"{_absolute(file, folder)}{colon}{cls}"
-        try:
-            name = registry.find(spec.name).name
-        except InputError as error:
-            raise InputError(f"methods[{index}]: {error}") from None
-        if not spec.label:
-            shown = " ".join(f"{key}={value}" for key, value in sorted(spec.params.items()))
-            spec.label = f"{name} ({shown})" if shown else name
+    file, colon, cls = spec.name.rpartition(":")
+    if file.endswith(".py"):
+        spec.name = f"{_absolute(file, folder)}{colon}{cls}"
+    try:
+        name = registry.find(spec.name).name
+    except InputError as error:
+        raise InputError(f"methods[{index}]: {error}") from None
+    if not spec.label:
+        shown = " ".join(f"{key}={value}" for key, value in sorted(spec.params.items()))
+        spec.label = f"{name} ({shown})" if shown else name
 
 
 def _locate_files(specs: list[NamedSpec], folder: Path) -> None:
@@ -121,7 +144,12 @@ def _with_files(value: Any, key: str, folder: Path, owner: str) -> Any:
         return {k: _with_files(v, k, folder, owner) for k, v in value.items()}
     if isinstance(value, list):
         return [_with_files(v, key, folder, owner) for v in value]
-    if key not in FILE_KEYS or not isinstance(value, str):
+    if not isinstance(value, str):
+        return value
+    file, colon, cls = value.rpartition(":")
+    if key == "type" and file.endswith(".py"):  # a Mitsuba plugin of the user's own
+        return f"{_absolute(file, folder)}{colon}{cls}"
+    if key not in FILE_KEYS:
         return value
     path = Path(_absolute(value, folder))
     if not path.is_file():
@@ -133,6 +161,27 @@ def _with_files(value: Any, key: str, folder: Path, owner: str) -> Any:
     except OSError as error:
         raise InputError(f"'{owner}': {key}: {value} cannot be read: {error.strerror}") from None
     return str(path)
+
+
+def _give_parameters(suite: Suite) -> None:
+    """Hand the suite's ``parameters`` to the XML files that have them; each to one at least."""
+    if not suite.parameters:
+        return
+    from harness.mitsuba_runtime import mitsuba_xml
+
+    used: set[str] = set()
+    for spec in [*suite.materials, *suite.scenes]:
+        file = spec.rest().get("file")
+        if not isinstance(file, str) or Path(file).suffix != ".xml":
+            continue
+        own = spec.rest().get("parameters", {})
+        found = mitsuba_xml.used(Path(file), f"'{spec.name}'", suite.parameters)
+        used |= set(found)
+        if found and _is_map(own):
+            spec.parameters = {key: suite.parameters[key] for key in found} | own
+    for key in suite.parameters:
+        if key not in used:
+            raise InputError(f"parameters: no XML file of this suite has '${key}'")
 
 
 def _absolute(file: str, folder: Path) -> str:

@@ -112,6 +112,7 @@ class Suite(Strict):
     seeds: Some[int] = [0]
     baseline: str | None = None
     resolution: Positive | None = None
+    parameters: dict[str, bool | int | float | str] = {}
     budget: BudgetSpec = BudgetSpec()
     report: ReportSpec = ReportSpec()
     profiles: dict[str, Profile] = {}

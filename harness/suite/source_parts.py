@@ -128,7 +128,6 @@ def _material(spec: Any) -> list[str]:
     from harness.materials import registry as materials
     from harness.materials.families import registry as families
     from harness.materials.hard import registry as hard
-    from harness.materials.kinds import KINDS
 
     full = materials._in_full(spec)
     name = materials._bare_name(full)
@@ -136,7 +135,7 @@ def _material(spec: Any) -> list[str]:
         module = f"{materials.PACKAGE}.{name.replace('-', '_')}"
         return [f"{module}:bsdf", "harness.materials.mitsuba_bsdf:MitsubaMaterial"]
     assert isinstance(full, Mapping)
-    entries = [f"{_place(type(KINDS[full['type']]))}.make"]
+    entries = [f"{_place(type(materials.KINDS[full['type']]))}.make"]
     if full["type"] == "family":
         family = families.FAMILIES[full["family"]]
         entries.append(f"{families.PACKAGE}.{family.module}:{family.class_name}")

@@ -30,7 +30,7 @@ class ColumnMaterial(Material):
         n = len(condition)
         if n == 0:
             return condition.new_empty(0, 3)
-        with torch.inference_mode():
+        with torch.no_grad():
             return tensor_of(*self.eval_columns(columns_of(condition), columns_of(wo)), rows=n)
 
     def target(self, condition: Tensor, wo: Tensor) -> Tensor:
@@ -38,7 +38,7 @@ class ColumnMaterial(Material):
         n = len(condition)
         if n == 0:
             return condition.new_empty(0)
-        with torch.inference_mode():
+        with torch.no_grad():
             f = self.eval_columns(columns_of(condition), columns_of(wo))
             return tensor_of(_target(f), rows=n)
 
@@ -47,7 +47,7 @@ class ColumnMaterial(Material):
         n, m = len(condition), wo.shape[1]
         if n * m == 0:
             return condition.new_empty(n, m)
-        with torch.inference_mode():
+        with torch.no_grad():
             c, points = columns_of(condition), columns_of(wo.reshape(-1, 2))
             array = type(c[0])
             index = dr.arange(dr.uint32_array_t(array), n * m)

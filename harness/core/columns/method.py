@@ -40,7 +40,7 @@ class ColumnMethod(Method):
         n = len(condition)
         if n == 0:
             return DiskSample(condition.new_empty(0, 2), condition.new_empty(0))
-        with torch.inference_mode():
+        with torch.no_grad():
             x, y, pdf = self.sample_columns(columns_of(condition), columns_of(u))
             packed = tensor_of(x, y, pdf, rows=n)
         return DiskSample(packed[:, :2], packed[:, 2])
@@ -50,7 +50,7 @@ class ColumnMethod(Method):
         n = len(condition)
         if self.exact_pdf or n == 0:
             return super().sample_weighted(condition, u)
-        with torch.inference_mode():
+        with torch.no_grad():
             x, y, pdf, weight = self.sample_weighted_columns(columns_of(condition), columns_of(u))
             packed = tensor_of(x, y, pdf, *weight, rows=n)
         return WeightedSample(packed[:, :2], packed[:, 2], packed[:, 3:])
@@ -60,5 +60,5 @@ class ColumnMethod(Method):
         n = len(condition)
         if n == 0:
             return condition.new_empty(0)
-        with torch.inference_mode():
+        with torch.no_grad():
             return tensor_of(self.pdf_columns(columns_of(condition), columns_of(wo)), rows=n)

@@ -13,6 +13,16 @@ class InputError(ValueError):
     """
 
 
+class Mistakes(InputError):
+    """Several refused inputs of one file; ``lines`` are all of them, the message the first."""
+
+    def __init__(self, lines: Iterable[str]):
+        self.lines = list(dict.fromkeys(lines))
+        more = len(self.lines) - 1
+        said = f" (and {more} more, which 'harness validate' lists)" if more else ""
+        super().__init__(f"{self.lines[0]}{said}")
+
+
 class StateRefused(InputError):
     """A fitted state that a method cannot run correctly; ``number`` is the measure that says so."""
 

@@ -33,6 +33,8 @@ class Material(ABC):
     """A family's parameters, which are its features."""
     renders_in_columns: bool = False
     """Whether a render calls its ``condition_columns(si)`` and ``eval_columns``, with no tensor."""
+    both_sides: bool = False
+    """Whether it reflects from behind, too, and there as it does from the front."""
     prefilters: bool = False
     """Whether ``condition_columns`` takes the footprint of a ray as well."""
 

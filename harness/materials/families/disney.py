@@ -10,7 +10,7 @@ import numpy as np
 from harness.core.columns.bridge import Columns, Float
 from harness.materials.families.base import Family
 from harness.materials.families.parameters import DISNEY, Parameter
-from harness.materials.mitsuba_bsdf import MitsubaMaterial, _mi
+from harness.materials.mitsuba_bsdf import MitsubaMaterial, mitsuba
 
 BASE_COLOR = (0.72, 0.45, 0.2)
 
@@ -84,7 +84,7 @@ def _ramp(parameter: Parameter, axis: int) -> dict[str, Any]:
         "filter_type": "bilinear",
         "wrap_mode": "clamp",
         "accel": False,  # a GPU's texture unit interpolates in steps of 1/256
-        "to_uv": _mi()
+        "to_uv": mitsuba()
         .ScalarTransform3f()  # (u, v) -> 1/4 + (u, v) / 2
         .translate([0.25, 0.25])
         .scale([0.5, 0.5]),

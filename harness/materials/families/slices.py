@@ -56,7 +56,7 @@ def slices(family: Sampled, condition: Tensor, resolution: int, seed: int) -> Te
     total = torch.zeros(n * cells, 3, dtype=torch.float64, device=condition.device)
     if total.numel() == 0:
         return total.view(n, resolution, resolution, 3).to(condition.dtype)
-    with torch.inference_mode():
+    with torch.no_grad():
         c = columns_of(condition)
         evaluate = family.evaluator(c, seed)
         for points, count in ((_even, STRATA**2), (_drawn, DRAWN)):

@@ -63,7 +63,7 @@ class WalkFamily(Family):
         n = len(condition)
         if n == 0:
             return condition.new_empty(0, 2), condition.new_empty(0, 3)
-        with torch.inference_mode():
+        with torch.no_grad():
             x, y, weight = self.walk_columns(columns_of(condition), columns_of(u))
             packed = tensor_of(x, y, *weight, rows=n)
         return packed[:, :2], packed[:, 2:]
@@ -71,7 +71,7 @@ class WalkFamily(Family):
     def noise(self, condition: Tensor, wo: Tensor, repeats: int = 16) -> Tensor:
         """Standard deviation [N, 3] of :meth:`eval`, from evaluations of other seeds."""
         c, at = columns_of(condition), columns_of(wo)
-        with torch.inference_mode():
+        with torch.no_grad():
             values = [
                 tensor_of(*self.eval_columns(c, at, seed), rows=len(condition))
                 for seed in range(1, repeats + 1)

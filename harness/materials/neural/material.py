@@ -81,7 +81,7 @@ class NeuralMaterial(ColumnMaterial):
         if len(uv) == 0:
             return uv.new_empty(0, self.n_condition)
         columns = columns_of(level[:, None])[0] if level is not None else None
-        with torch.inference_mode():
+        with torch.no_grad():
             features = self._features(columns_of(uv), columns_of(wi), columns)
             found = tensor_of(*features, rows=len(uv)).view(len(uv), -1)
         return torch.cat([found, wi.float()], 1)

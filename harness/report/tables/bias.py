@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from harness.analysis import numbers
-from harness.analysis.bias import LEVEL, MEASURE, Key, corrected_p
-from harness.analysis.combine import Estimate
+from harness.analysis.bias import LEVEL, MEASURE, Key, corrected_p, deciding_test
 from harness.analysis.results import MethodColumn, Results
 from harness.report.table import Cell, Row, Section, Table
 from harness.report.tables.common import circumstances
@@ -64,9 +63,17 @@ def _cell(
     if isinstance(raw, str):
         return Cell(missing=raw, ceiling=method.ceiling)
     p = corrected[(material, method.label, scene)]
-    z = results.number(MEASURE, "bias-z", material, method.label, scene)
     warning = ""
     if p < LEVEL:
-        size = f", z = {numbers.plain(z.value, 1)}" if isinstance(z, Estimate) else ""
-        warning = f"biased: {method.label} on {material}{size}"
+        said = _said(results, material, method.label, scene)
+        warning = f"biased: {method.label} on {material}{said}"
     return Cell(p, text=numbers.p_value(p), warning=warning, ceiling=method.ceiling)
+
+
+def _said(results: Results, material: str, method: str, scene: str) -> str:
+    """The score of the very test whose p-value the cell has."""
+    found = deciding_test(results, material, method, scene)
+    if found is None:
+        return ""
+    of_seed = f" (seed {found.seed}, of {found.seeds})" if found.seeds > 1 else ""
+    return f", z = {numbers.plain(found.z, 1)}{of_seed}"

@@ -1,0 +1,108 @@
+r"""Networks of Sztrajman et al. 2021, Neural BRDF Representation, as the authors publish them.
+
+Six arrays in numpy's format, ``NAME_fc1.npy`` [6, 21], ``NAME_fc2.npy`` [21, 21], ``NAME_fc3.npy``
+[21, 3] and ``NAME_b1.npy``, ``NAME_b2.npy``, ``NAME_b3.npy``, of a network from half and difference
+vector (with the half vector at azimuth zero) to the BRDF:
+
+.. math:: f = \max(0, e^{W_3\,a(W_2\,a(W_1 [h, d] + b_1) + b_2) + b_3} - 1), \qquad a = \max(0, .)
+
+Nothing in the files is executed: what is pickled is refused. The same network in a ``.h5`` file
+of Keras is refused by name.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import drjit as dr
+import numpy as np
+from numpy.typing import NDArray
+
+from harness.core.columns.bridge import Columns
+from harness.core.columns.material import ColumnMaterial
+from harness.core.protocol.errors import InputError
+from harness.materials.file_formats import said_of
+from harness.materials.half_difference import direction, half_and_difference
+
+SHAPES = {"fc1": (6, 21), "b1": (21,), "fc2": (21, 21), "b2": (21,), "fc3": (21, 3), "b3": (3,)}
+
+
+def files(path: Path) -> dict[str, Path]:
+    """The six files, by array, of which ``path`` is one."""
+    for part in SHAPES:
+        if path.name.endswith(f"{part}.npy"):
+            start = path.name.removesuffix(f"{part}.npy")
+            return {key: path.with_name(f"{start}{key}.npy") for key in SHAPES}
+    return {}
+
+
+def read(path: Path, where: str) -> dict[str, NDArray[np.float32]]:
+    """The six arrays.
+
+    Raises:
+        InputError: one is missing, is no plain array, or of another shape.
+    """
+    found = files(path)
+    if not found:
+        known = said_of(path) if path.is_file() else ""
+        is_one = f"it is {known}" if known else "its name ends otherwise"
+        raise InputError(
+            f"{where}: {path}: expected one of six files NAME_fc1.npy, NAME_b1.npy, ...: {is_one}"
+        )
+    arrays = {}
+    for key, file in found.items():
+        try:
+            with file.open("rb") as stream:
+                array = np.lib.format.read_array(stream, allow_pickle=False)
+        except OSError as error:
+            raise InputError(f"{where}: {file} cannot be read: {error.strerror}") from None
+        except (ValueError, EOFError) as error:
+            raise InputError(f"{where}: {file} is no array of numbers: {error}") from None
+        if array.shape != SHAPES[key] or array.dtype.kind != "f":
+            raise InputError(
+                f"{where}: {file}: expected numbers of shape {list(SHAPES[key])}, got {array.dtype}"
+                f" of {list(array.shape)}"
+            )
+        arrays[key] = array.astype(np.float32)
+    return arrays
+
+
+class NbrdfMaterial(ColumnMaterial):
+    """One network; the condition is ``wi.xy``."""
+
+    renders_in_columns = True
+
+    def __init__(self, name: str, arrays: dict[str, NDArray[np.float32]], identity: dict[str, Any]):
+        self.name, self._identity = name, identity
+        self._layers = [(arrays[f"fc{i}"], arrays[f"b{i}"]) for i in (1, 2, 3)]
+
+    def identity(self) -> dict[str, Any]:
+        """See :meth:`Material.identity`."""
+        return self._identity
+
+    def condition_columns(self, si: Any) -> Columns:
+        """The condition at surface interactions, as a renderer meets it."""
+        return [si.wi.x, si.wi.y]
+
+    def eval_columns(self, c: Columns, wo: Columns) -> Any:
+        """See :meth:`ColumnMaterial.eval_columns`."""
+        (view, above), (light, inside) = direction(*c), direction(*wo)
+        h, d = half_and_difference(light, view)
+        # The network knows half vectors of azimuth zero alone: h.y is 0.
+        values = [dr.sqrt(h[0] * h[0] + h[1] * h[1]), type(h[2])(0.0), h[2], *d]
+        for i, (weight, bias) in enumerate(self._layers):
+            values = [
+                _weighted(values, weight[:, k], float(bias[k])) for k in range(weight.shape[1])
+            ]
+            if i < 2:
+                values = [dr.maximum(v, 0) for v in values]
+        rgb = [dr.maximum(dr.exp(v) - 1, 0) for v in values]
+        return [dr.select(above & inside, v, 0) for v in rgb]
+
+
+def _weighted(values: list[Any], weights: NDArray, bias: float) -> Any:
+    total = type(values[0])(bias)
+    for value, weight in zip(values, weights, strict=True):
+        total = dr.fma(value, float(weight), total)
+    return total
