@@ -8,7 +8,8 @@ import drjit as dr
 import torch
 from torch import Tensor
 
-from harness.core.columns.bridge import Columns, Float, columns_of, tensor_of
+from harness.core.columns.bridge import Columns, Float
+from harness.core.columns.reflectance import reflectance_columns
 from harness.core.protocol.method import Method
 from harness.nets.tangents import with_tangents
 from methods.importance_baked_published import ImportanceBakedPublished
@@ -55,7 +56,7 @@ class ImportanceBakedSigned(ImportanceBakedPublished):
         """See :meth:`ColumnMethod.sample_weighted_columns`."""
         encoded = self.module.encoder.columns(c)
         x, y, jacobian = self.jacobian_columns(encoded, u)
-        f = self._value_columns(c, x, y)
+        f = reflectance_columns(self.material, c, [x, y])
         return x, y, self._pdf(c, encoded, x, y), [v * jacobian for v in f]
 
     def jacobian_columns(self, encoded: Columns, u: Columns) -> tuple[Float, Float, Float]:
@@ -79,12 +80,3 @@ class ImportanceBakedSigned(ImportanceBakedPublished):
         # Of x near the ends this loses nothing: 1 - x^2 = 4 t (1 - t).
         chord = 2 * dr.sqrt(t[0] * (1 - t[0]))
         return x, dr.fma(2, t[1], -1) * chord, 4 * det * chord
-
-    def _value_columns(self, c: Columns, x: Float, y: Float) -> Any:
-        if callable(getattr(self.material, "eval_columns", None)):
-            f = self.material.eval_columns(c, [x, y])
-            return [f[0], f[1], f[2]]
-        n = max(dr.width(v) for v in (*c, x, y))
-        wide = [v if dr.width(v) == n else dr.repeat(v, n) for v in (*c, x, y)]
-        rows = tensor_of(*wide, rows=n)
-        return columns_of(self.material.eval(rows[:, :-2], rows[:, -2:]))

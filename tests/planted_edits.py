@@ -21,8 +21,8 @@ class Edit(NamedTuple):
 
 CHANGING = (
     # Samplers.
-    Edit("fit", "methods/improved_baseline.py", "log_sigma(out[..., 2:3])",
-         "log_sigma(1.001 * out[..., 2:3])"),
+    Edit("fit", "methods/improved_baseline.py", "log_sigma(out[..., first : first + 1])",
+         "log_sigma(1.001 * out[..., first : first + 1])"),
     Edit("render", "harness/nets/lobes.py", "return _RANGE * dr.tanh(raw * (1 / _RANGE))",
          "return _RANGE * dr.tanh(raw * (1.001 / _RANGE))"),
     Edit("render", "harness/nets/lobes.py", "_RANGE = 10.0", "_RANGE = 10.01"),

@@ -23,7 +23,7 @@ from harness.stats.chisquare import sidak
 from tests.disk import compare
 from tests.materials import MATERIALS
 
-UNFITTED = {"cosine", "native", "random-walk", "tabulated"}
+UNFITTED = {"cosine", "native", "random-walk", "tabulated", "flow-matching-fu2024"}
 WITHOUT = {"cosine", "native", "random-walk"}
 BUDGET = Budget(steps=40, conditions=64, directions=32, resolution=32, pool=256)
 TILTED = MATERIALS["tilted"]()
@@ -66,6 +66,7 @@ def test_declared_knobs_exist(name):
 SMALL = {
     "histogram-mixture": {"levels": 10, "resolution": 16},
     "importance-baked": {"resolution": 8, "slices": 64},
+    "flow-matching": {"width": 16, "layers": 2, "steps": 4},
 }
 """What makes a method quick where it is not the size that is tested."""
 STRUCTURE = ("couplings", "lobes", "bins", "bases", "levels")
@@ -302,6 +303,8 @@ def test_bfloat16_halves_the_weights(name):
         ("neural-spline-flow", {"couplings": -1}),
         ("neural-spline-flow", {"layers": 0}),
         ("two-lobe", {"lobes": 0}),
+        ("flow-matching", {"steps": 0}),
+        ("flow-matching", {"layers": 0}),
     ],
 )
 def test_bad_values_are_refused(name, params):

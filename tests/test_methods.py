@@ -25,6 +25,7 @@ NAMES = [name for name in registry.names() if registry.load(name).exact_pdf]
 PARAMETERS = {
     "tabulated": {"resolution": 8},
     "importance-baked": {"resolution": 8, "slices": 64},
+    "flow-matching": {"width": 16, "layers": 2, "steps": 4},
 }
 BUDGET = Budget(steps=40, conditions=64, directions=32, resolution=32, pool=256)
 CASES = [("tilted", False), ("tilted", True), ("plain", True), ("mitsuba", True)]

@@ -97,10 +97,37 @@ def test_budget_of_a_suite_is_that_of_the_protocol():
 
 
 @pytest.mark.parametrize("name", loading.names())
-def test_shipped_suites_are_valid(name: str, monkeypatch: pytest.MonkeyPatch):
+def test_shipped_suites_are_valid(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    # One takes a folder of the user's own.
+    (tmp_path / "rgl").mkdir()
+    (tmp_path / "rgl" / "paint_rgb.bsdf").touch()
+    monkeypatch.chdir(tmp_path)
     suite = load(name).suite
     assert suite.name == name
     assert suite.title
+
+
+def test_a_folder_is_a_material_a_file(tmp_path: Path):
+    entry = {"type": "measured", "folder": "mine"}
+    path = fakes.suite(tmp_path, materials=["fake-a", entry])
+    with pytest.raises(InputError, match=r"materials\[1\]: no such folder: mine"):
+        load(path)
+    folder = path.parent / "mine"
+    folder.mkdir()
+    with pytest.raises(InputError, match=r"no file \*\.bsdf in the folder mine"):
+        load(path)
+    for name in ("silk_rgb.bsdf", "paint.bsdf", "readme.txt"):
+        (folder / name).touch()
+    materials = load(path).suite.materials
+    assert [m.name for m in materials] == ["fake-a", "paint", "silk"]
+    assert [Path(m.rest()["file"]).name for m in materials[1:]] == ["paint.bsdf", "silk_rgb.bsdf"]
+    for wrong, said in (
+        ({**entry, "file": "x.bsdf"}, "unknown key 'file' beside 'folder'"),
+        ({"folder": "mine"}, "'folder' goes with 'type: measured'"),
+        ({**entry, "folder": 3}, "expected the name of a folder, not 3"),
+    ):
+        with pytest.raises(InputError, match=said):
+            load(fakes.suite(tmp_path, materials=[wrong]))
 
 
 # --- hashes ------------------------------------------------------------------------------------

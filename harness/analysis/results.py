@@ -62,8 +62,8 @@ class Results:
         """What is stored, its records as today's analysis makes them, stale ones marked."""
         with ResultsFolder(folder) as store, store.as_it_is():
             plan, trials = store.plan(), store.trials()
-            damage = store.damage(trials)
-            trials |= {key: _damaged(trials[key], why) for key, why in damage.items()}
+            damage = store.damage(trials).items()
+            trials |= {key: _damaged(trials[key], why) for key, why in damage if key in trials}
             trials = {key: renewed(trial) for key, trial in trials.items()}
             table = frame(plan["trials"], trials, stale(store, trials), all)
         return cls(Path(folder), table, plan, trials)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from harness.analysis.results import Results
 from harness.core import machine
-from harness.store.database import FILE
+from harness.store.database import FILE, OLD_PLAN
 from harness.store.frame import STALE
 from harness.store.stored import Stored
 
@@ -71,7 +71,7 @@ def status(folder: Path) -> Status:
 
 def folders(place: Path) -> list[Path]:
     """The results folders at or directly below ``place``."""
-    if (place / FILE).is_file():
+    if (place / FILE).is_file() or (place / OLD_PLAN).is_file():
         return [place]
     return sorted(path.parent for path in place.glob(f"*/{FILE}"))
 

@@ -40,14 +40,16 @@ def versions(packages: tuple[str, ...] = COUNTED_VERSIONS, local: bool = False) 
     Without ``local``, a build tag such as ``+cpu`` is left off: it names where a wheel was
     made for and not another version.
     """
-    found = {}
-    for name in packages:
-        try:
-            text = version(name)
-        except PackageNotFoundError:
-            text = ""
-        found[name] = text if local else text.partition("+")[0]
-    return found
+    found = {name: _version(name) for name in packages}
+    return found if local else {k: v.partition("+")[0] for k, v in found.items()}
+
+
+@lru_cache(maxsize=32)
+def _version(package: str) -> str:
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return ""
 
 
 def _cpu() -> str:

@@ -1,4 +1,4 @@
-"""Methods that are a normalizing flow of the projected disk over a Gaussian."""
+"""Methods that are a normalizing flow of the projected disk."""
 
 from __future__ import annotations
 
@@ -18,12 +18,13 @@ from harness.nets.coupling import uniforms_of_normal
 
 
 class FlowMethod(SteadyMethod, ColumnMethod):
-    r"""A flow :math:`z = T(\omega)` with a standard normal base, and a uniform share beside it.
+    r"""A flow :math:`z = T(\omega)` of a base density, and a uniform share beside it.
 
-    .. math:: p(\omega) = (1 - \varepsilon)\,\mathcal{N}(T(\omega))
+    .. math:: p(\omega) = (1 - \varepsilon)\,N(T(\omega))
               \left|\frac{\partial T}{\partial \omega}\right|
               + \frac{\varepsilon}{\pi}\,[|\omega| < 1]
 
+    The base N is standard normal unless a subclass says otherwise.
     A subclass gives the map both ways in torch (:meth:`to_base`, :meth:`from_base`) and the
     sampler over columns. ``uniform`` is :math:`\varepsilon`, picked by the third uniform.
 
@@ -51,11 +52,23 @@ class FlowMethod(SteadyMethod, ColumnMethod):
     def log_prob(self, condition: Tensor, wo: Tensor) -> Tensor:
         """Log density [B, D]."""
         z, log_slope = self.to_base(self.module, condition, wo)
-        flow = -0.5 * z.square().sum(-1) - lobes.LOG_2PI + log_slope
+        flow = self.log_base(z) + log_slope
         raw = self.share_logit(self.module, condition)
         if raw is None:
             return defensive.log_mixed(flow, wo, self.uniform)
         return defensive.log_mixed_logit(flow, wo, raw, self.uniform)
+
+    def log_base(self, z: Tensor) -> Tensor:
+        """Log density [...] of the base at ``z`` [..., 2]: standard normal."""
+        return -0.5 * z.square().sum(-1) - lobes.LOG_2PI
+
+    def base_uniforms(self, z: Tensor) -> Tensor:
+        """The uniforms [..., 2] that are sampled as ``z`` [..., 2]."""
+        return uniforms_of_normal(z)
+
+    def base_points(self, rows: int, generator: torch.Generator) -> Tensor:
+        """Points [rows, 1, 2] of the base, in double precision."""
+        return torch.randn(rows, 1, 2, generator=generator, dtype=torch.float64)
 
     def share_logit(self, net: nn.Module, condition: Tensor) -> Tensor | None:
         """Logit [B, 1] of what a condition adds to the uniform share; None where it is fixed."""
@@ -66,7 +79,7 @@ class FlowMethod(SteadyMethod, ColumnMethod):
         """See :meth:`Method.inverse`: the uniforms [N, 3] of the flow's branch, in double."""
         net = copy.deepcopy(self.module).double()
         z, _ = self.to_base(net, condition.double(), wo[:, None].double())
-        u = uniforms_of_normal(z[:, 0])
+        u = self.base_uniforms(z[:, 0])
         share = torch.full_like(u[:, :1], self.uniform)
         raw = self.share_logit(net, condition.double())
         if raw is not None:
@@ -98,11 +111,15 @@ class FlowMethod(SteadyMethod, ColumnMethod):
         generator = torch.Generator().manual_seed(0)
         device = next(net.parameters()).device
         condition = self.material.conditions(ROWS, generator, str(device)).double()
-        z = torch.randn(ROWS, 1, 2, generator=generator, dtype=torch.float64).to(device)
+        z = self.base_points(ROWS, generator).to(device)
         wo = self.from_base(net, condition, z)
 
         def origin(at: Tensor) -> Tensor:
             return self.to_base(net, condition, at[:, None])[0][:, 0]
 
         far = moved(origin, wo[:, 0], 1.0)
-        return float((far & inside_disk(wo[:, 0])).double().mean())
+        return float((far & self.followed(wo[:, 0])).double().mean())
+
+    def followed(self, wo: Tensor) -> Tensor:
+        """Samples [N] whose base point single precision is expected to find again, by ``wo``."""
+        return inside_disk(wo)

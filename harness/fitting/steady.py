@@ -50,12 +50,16 @@ class SteadyMethod(ModuleMethod):
         """:class:`StateRefused` if any sample is moved."""
         share = self.unsteady()
         if share:
-            raise StateRefused(
-                f"{self.name}: state refused: in {share:.2%} of the samples the rounding of the"
-                f" direction moves {self.origin} by more than {STEADY:.1g} deviations, so that the"
-                " density would not be that of what is drawn; expected none",
-                share,
-            )
+            raise self.moved_by_rounding(share)
+
+    def moved_by_rounding(self, share: float) -> StateRefused:
+        """What is said of a state in which that share of the samples is moved."""
+        return StateRefused(
+            f"{self.name}: state refused: in {share:.2%} of the samples the rounding of the"
+            f" direction moves {self.origin} by more than {STEADY:.1g} deviations, so that the"
+            " density would not be that of what is drawn; expected none",
+            share,
+        )
 
 
 def moved(origin: Callable[[Tensor], Tensor], wo: Tensor, deviation: float) -> Tensor:

@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from harness.core.protocol.disk import inside_disk
+from harness.core.protocol.errors import Unsupported
 from harness.core.protocol.material import Material
 from harness.microgeometry.measured import MeasuredSurface
 
@@ -62,3 +63,14 @@ class BtfMaterial(Material):
         zero = u.new_zeros(len(u))
         f = self.surface.reflectance(u, zero, wi, wo, samples=1, seed=0, device=str(wo.device))
         return torch.where(inside_disk(wo)[:, None], f, 0)
+
+    def why_no_gradient(self) -> str:
+        """See :meth:`Material.why_no_gradient`."""
+        return (
+            f"material '{self.name}' gives no gradient of f: it interpolates measured tables"
+            " outside of torch and Dr.Jit"
+        )
+
+    def target_gradient(self, condition: Tensor, wo: Tensor) -> tuple[Tensor, Tensor]:
+        """See :meth:`Material.target_gradient`; there is none."""
+        raise Unsupported(self.why_no_gradient())

@@ -12,16 +12,15 @@ from torch import Tensor, nn
 
 from harness.core.columns.bridge import Columns, Float
 from harness.core.protocol import counting
-
-_SLOPE = {"relu": 0.0, "leaky_relu": 0.01}
+from harness.nets import activations
 
 
 class MLP(nn.Module):
     """Fully connected layers of the given widths, linear at the end.
 
     ``MLP([30, 32, 32, 5])`` maps [..., 30] to [..., 5] through two hidden layers of 32.
-    ``activation`` is ``relu`` or ``leaky_relu`` (slope 0.01). :meth:`columns` runs the same
-    network over Dr.Jit columns with cooperative vectors.
+    ``activation`` is one of :data:`harness.nets.activations.ACTIVATIONS`. :meth:`columns` runs
+    the same network over Dr.Jit columns with cooperative vectors.
 
     Example:
         >>> net = MLP([4, 32, 2])
@@ -34,7 +33,7 @@ class MLP(nn.Module):
         self.layers = nn.ModuleList(
             nn.Linear(a, b) for a, b in zip(widths[:-1], widths[1:], strict=True)
         )
-        self.slope = _SLOPE[activation]
+        self.activation, self.slope = activation, activations.SLOPES.get(activation)
         if zero_last:
             nn.init.zeros_(self.layers[-1].weight)
             nn.init.zeros_(self.layers[-1].bias)
@@ -44,7 +43,7 @@ class MLP(nn.Module):
         """[..., widths[0]] -> [..., widths[-1]]."""
         counting.add("network", x[..., 0].numel())
         for layer in self.layers[:-1]:
-            x = nn.functional.leaky_relu(layer(x), self.slope)
+            x = activations.value(self.activation, layer(x))
         return self.layers[-1](x)
 
     def columns(self, x: Columns) -> Columns:
@@ -58,8 +57,7 @@ class MLP(nn.Module):
         for i, (w, b) in enumerate(zip(weights, biases, strict=True)):
             v = drjit.nn.matvec(w, v, b)
             if i < len(weights) - 1:
-                # Not max(v, 0), which would turn nan into 0.
-                v = dr.maximum(v, self.slope * v)
+                v = drjit.nn.CoopVec(*activations.value_columns(self.activation, list(v)))
         return list(v)
 
     def _columns_scalar(self, x: Columns) -> Columns:
@@ -75,7 +73,7 @@ class MLP(nn.Module):
                     s = dr.fma(dr.gather(array, w, row * layer.in_features + k), value, s)
                 out.append(s)
             if i < len(self.layers) - 1:
-                out = [dr.maximum(v, self.slope * v) for v in out]
+                out = activations.value_columns(self.activation, out)
             x = out
         return x
 
@@ -98,7 +96,7 @@ class MLP(nn.Module):
         import copy
 
         clone.layers = copy.deepcopy(self.layers, memo)
-        clone.slope, clone._packed = self.slope, None
+        clone.activation, clone.slope, clone._packed = self.activation, self.slope, None
         return clone
 
 

@@ -90,7 +90,10 @@ def _summation(bins: int, like: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def _find(raw: Tensor, value: Tensor, axis: int) -> Bin:
-    """The bin of ``value`` [...] by its knots on one axis: 0 for x, 1 for y."""
+    """The bin of ``value`` [...] by its knots on one axis: 0 for x, 1 for y.
+
+    ``raw`` may have axes of length one where all values share a spline.
+    """
     bins = (raw.shape[-1] + 1) // 3
     half = bins // 2
     matrix, constant = _summation(bins, raw)
@@ -101,11 +104,15 @@ def _find(raw: Tensor, value: Tensor, axis: int) -> Bin:
     k = (inner[..., 1 : half + 1] <= at + 1).sum(-1, keepdim=True)
     k = k + (inner[..., half + 1 : bins] <= at - 1).sum(-1, keepdim=True)
     pair = torch.cat([k, k + 1], -1)
+
+    def wide(numbers: Tensor) -> Tensor:
+        return numbers.expand(*value.shape, -1)
+
     (x0, x1), (y0, y1) = (
         (a, b + torch.where(k[..., 0] == half, 2, 0))
-        for a, b in (knots[..., i, :].gather(-1, pair).unbind(-1) for i in (0, 1))
+        for a, b in (wide(knots[..., i, :]).gather(-1, pair).unbind(-1) for i in (0, 1))
     )
-    slopes = torch.nn.functional.pad(raw[..., 2 * bins :], (1, 1)).gather(-1, pair)
+    slopes = wide(torch.nn.functional.pad(raw[..., 2 * bins :], (1, 1))).gather(-1, pair)
     anchor = torch.where(k[..., 0] > half, 1, -1)
     return Bin(anchor, x0, x1, y0, y1, *derivative(slopes).unbind(-1))
 
@@ -163,8 +170,11 @@ def unwarp(raw: Tensor, y: Tensor) -> Tensor:
     )
 
 
-def _find_columns(raw: Columns, value: Float, axis: int) -> Bin:
-    """:func:`_find` by walking over the bins, keeping the last that begins at or before."""
+def _find_columns(raw: Columns, value: Float, axis: int | Bool) -> Bin:
+    """:func:`_find` by walking over the bins, keeping the last that begins at or before.
+
+    ``axis`` may be a mask: of x where it is false, of y where it is true.
+    """
     bins = (len(raw) + 1) // 3
     share = 2 - 2 * MINIMUM * bins
     steps = []
@@ -189,13 +199,17 @@ def _find_columns(raw: Columns, value: Float, axis: int) -> Bin:
         for k in range(bins - 1, half, -1):
             down.append(down[-1] - size[k])
         knots.append(up + down[::-1])
+    if isinstance(axis, int):
+        along = knots[axis]
+    else:
+        along = [dr.select(axis, y, x) for x, y in zip(*knots, strict=True)]
     slopes = [type(value)(0), *raw[2 * bins :], type(value)(0)]
     found = [knots[0][0], knots[0][1], knots[1][0], knots[1][1], slopes[0], slopes[1]]
     anchor = -type(value)(1)
     below, above = value + 1, value - 1
     for k in range(1, bins):
         left = k <= half
-        reached = knots[axis][k] <= (below if left else above)
+        reached = along[k] <= (below if left else above)
         # The middle bin begins on one side and ends on the other.
         shift = 2 if k == half else 0
         here = [knots[0][k], knots[0][k + 1] + shift, knots[1][k], knots[1][k + 1] + shift]
@@ -218,6 +232,13 @@ def unwarp_columns(raw: Columns, y: Float) -> tuple[Float, Bin]:
     """``x``, the inverse, and the bin it is in."""
     b = _find_columns(raw, y, 1)
     return dr.select(dr.abs(y) < 1, _solve(b, y, dr.clip, dr.sqrt, dr.select), y), b
+
+
+def unwarp_or_keep_columns(raw: Columns, y: Float, x: Float, keep: Bool) -> tuple[Float, Bin]:
+    """:func:`unwarp_columns` of ``y``, but ``x`` itself and its bin where ``keep``."""
+    b = _find_columns(raw, dr.select(keep, x, y), ~keep)
+    solved = dr.select(dr.abs(y) < 1, _solve(b, y, dr.clip, dr.sqrt, dr.select), y)
+    return dr.select(keep, x, solved), b
 
 
 def evaluate_columns(b: Bin, x: Float) -> tuple[Float, Float]:

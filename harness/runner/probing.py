@@ -35,10 +35,13 @@ from harness.suite.trials import FIT, Trial, stream_seed
 
 TINY = {
     "batches": 6, "conditions": 4, "count": 2, "grid": 8, "levels": 2, "reference_spp": 8,
-    "repeats": 2, "resolution": 8, "resolutions": [8], "rounds": 6, "samples": 16, "side": 16,
+    "repeats": 2, "resolution": 24, "resolutions": [8], "rounds": 6, "samples": 16, "side": 16,
     "size": 8, "slice_resolution": 16, "spp": 2, "views": 1,
 }  # fmt: skip
-"""Settings of a measure's tiny job, where it has them and they are larger."""
+"""Settings of a measure's tiny job, where it has them and they are larger.
+
+An image has to be large enough to show the material in every scene.
+"""
 FIXED = ({"name": "cosine"}, {"name": "tabulated", "params": {"resolution": 8}})
 """Methods of a measure's tiny job: one over columns, one in torch."""
 STEPS = 2

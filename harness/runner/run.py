@@ -140,13 +140,15 @@ def _explain(todo: Todo, console: Console) -> None:
 
 
 def _counted(todo: Todo) -> str:
-    """``264 trials, 200 stored, 64 to do (11 fits)``."""
-    trials = todo.trials
+    """``264 trials, 64 to do (11 of them fits), 20 more if a fit comes out different``."""
+    trials = [trial for trial in todo.trials if trial.hash not in todo.doubtful]
     fits = sum(trial.measure == FIT for trial in trials)
     text = f"{_trials(len(todo.selected))}, "
     if not trials:
         return text + "all stored"
-    return text + f"{len(trials)} to do ({fits} of them fits)"
+    text += f"{len(trials)} to do ({fits} of them fits)"
+    more = len(todo.doubtful)
+    return text + (f", {more} more if a fit comes out different" if more else "")
 
 
 def _list(plan: Plan, todo: Todo, console: Console) -> None:

@@ -75,8 +75,12 @@ class Validity:
         """Digest and units of each part that is source code."""
         key = self._key(trial)
         if key not in self._sources:
-            fits = trial.measure == FIT
-            self._sources[key] = source_parts.of_trial(self.known, self._of(trial), fits)
+            parts, fits = self._of(trial), trial.measure == FIT
+            # Most trials of a suite share their code: many materials are of one kind.
+            shared = (fits, *parts.items())
+            if shared not in self._sources:
+                self._sources[shared] = source_parts.of_trial(self.known, parts, fits)
+            self._sources[key] = self._sources[shared]
         return self._sources[key]
 
     def verdict(self, trial: Trial) -> Verdict:

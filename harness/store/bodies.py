@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import sqlite3
 from collections.abc import Mapping
-from pathlib import Path
-from typing import Any
+from functools import partial
+from typing import TYPE_CHECKING, Any
 
 from harness.store.packing import digest, json_bytes, pack, parsed, unpack
 from harness.store.stored import DAMAGED, LABELS, Stored
 
+if TYPE_CHECKING:
+    import numpy as np
+
 _SHARED = ("trial", "environment", "documents", "entries")
 """Entries of a trial whose values are kept once for all trials that share them."""
-_APART = ("hash", "folder", "files", "arrays", "images")
+_APART = ("hash", "folder", "reader", "files", "arrays", "images")
 
 
 class Texts:
@@ -70,11 +73,17 @@ def body_of(
 
 
 def stored_of(
-    folder: Path, texts: Texts, key: str, checksum: str, packed: bytes, arrays: Mapping[str, str]
+    reader: partial[dict[str, np.ndarray]],
+    texts: Texts,
+    key: str,
+    checksum: str,
+    packed: bytes,
+    arrays: Mapping[str, str],
 ) -> Stored:
     """The trial of a body; of status ``damaged`` if that is not what was stored.
 
-    ``arrays`` are the digests of its arrays as the database lists them.
+    ``arrays`` are the digests of its arrays as the database lists them; ``reader``, a function of
+    the folder, reads them when they are asked for.
     """
     try:
         body = unpack(packed)
@@ -89,7 +98,7 @@ def stored_of(
             if name in data:
                 data[name] = texts.get(data[name])
         data["records"] = [_record(record) for record in data.get("records", ())]
-        return Stored(key, folder=folder, **{"reason": "", **data})
+        return Stored(key, folder=reader.args[0], reader=reader, **{"reason": "", **data})
     except (ValueError, TypeError, KeyError) as error:
         reason = f"the stored trial {key} is damaged: {error}; harness run measures it again"
         return Stored(key, {}, dict.fromkeys(LABELS, ""), DAMAGED, reason)

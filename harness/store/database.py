@@ -56,26 +56,12 @@ CREATE TABLE equivalent (
 
 def is_ours(folder: Path) -> bool:
     """Whether the folder holds results of this format (a marked file, of any version)."""
-    return _mark(folder) == MARK
-
-
-def is_foreign(folder: Path) -> bool:
-    """Whether the file is a database, and another program's."""
-    return _mark(folder) not in (None, 0, MARK)
-
-
-def _mark(folder: Path) -> int | None:
-    """The file's ``application_id``; None if there is no file or it is no database."""
     try:
         with (folder / FILE).open("rb") as file:
             head = file.read(100)
     except OSError:
-        return None
-    if len(head) < 100 or head[:16] != b"SQLite format 3\0":
-        return None
-    mark = int.from_bytes(head[68:72], "big")
-    # A program that sets no mark has tables all the same; without pages it is a file just begun.
-    return -1 if mark == 0 and int.from_bytes(head[28:32], "big") > 1 else mark
+        return False
+    return head[:16] == b"SQLite format 3\0" and int.from_bytes(head[68:72], "big") == MARK
 
 
 def connect(folder: Path, write: bool = False) -> sqlite3.Connection:
@@ -124,6 +110,8 @@ def _check(connection: sqlite3.Connection, folder: Path, write: bool) -> None:
             connection.execute(f"PRAGMA application_id = {MARK}")
             connection.execute(f"PRAGMA user_version = {FORMAT}")
         return
+    if mark == 0 and tables == 0:
+        raise Damaged(f"{folder / FILE}: is empty; harness run begins it anew")
     if mark != MARK:
         raise InputError(f"{folder / FILE}: is another program's database; choose another folder")
     if version != FORMAT:

@@ -14,6 +14,7 @@ import sqlite3
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
@@ -162,6 +163,8 @@ class ResultsFolder:
                 )
                 self.run("DELETE FROM trial WHERE trial = ?", key)
                 self.run("DELETE FROM array WHERE trial = ?", key)
+                # Arrays of a probe stand under a key of their own (:mod:`harness.store.code`).
+                self.run("DELETE FROM probe WHERE 'probe ' || part || ' ' || digest = ?", key)
 
     def tidy(self) -> None:
         """Remove arrays and files that no trial names any more."""
@@ -227,8 +230,9 @@ class ResultsFolder:
         with explained(self.folder):
             rows = self.run(f"SELECT trial, checksum, body FROM trial{place}", *asked).fetchall()
             arrays = self._arrays(place, *asked)
+            reader = partial(_arrays_of, self.folder)
             return {
-                row[0]: stored_of(self.folder, self._texts, *row, arrays.get(row[0], {}))
+                row[0]: stored_of(reader, self._texts, *row, arrays.get(row[0], {}))
                 for row in rows
                 if wanted is None or row[0] in wanted
             }
@@ -293,6 +297,11 @@ class ResultsFolder:
                 " harness run measures it again"
             )
         return data
+
+
+def _arrays_of(folder: Path, key: str) -> dict[str, np.ndarray]:
+    with ResultsFolder(folder) as results:
+        return results.arrays(key)
 
 
 def _plan_digest(head: str, rows: list[tuple]) -> str:

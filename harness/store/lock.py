@@ -5,12 +5,12 @@ from __future__ import annotations
 import fcntl
 import os
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from harness.core.protocol.errors import InputError
 from harness.store import files
-from harness.store.database import ASIDE, FILE, OLD_PLAN, connect, is_foreign, is_ours
+from harness.store.database import ASIDE, FILE, OLD_PLAN, Damaged, connect, is_ours
 
 _LOCK = ".lock"
 _HARMLESS = (_LOCK, ".gitignore")
@@ -53,8 +53,9 @@ def claim(results: Path) -> None:
         raise InputError("--out: expected a folder of its own for the results")
     if results.exists() and not results.is_dir():
         raise InputError(f"{results}: is a file; expected a folder for the results")
-    if is_foreign(results) or (results / OLD_PLAN).is_file():
-        connect(results, write=False).close()  # says what it is
+    if (results / FILE).is_file() or (results / OLD_PLAN).is_file():
+        with suppress(Damaged):  # which a run sets aside
+            connect(results).close()  # says what it is if it is not ours
     if results.is_dir():
         names = sorted(path.name for path in results.iterdir())
         # A file that is damaged beyond recognition is ours if all beside it is.

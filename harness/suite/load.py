@@ -13,6 +13,7 @@ from harness.core.paths import ROOT
 from harness.core.protocol.errors import InputError, Mistakes, nearest
 from harness.core.refusal import refusals
 from harness.core.yamlfile import parse_yaml, read_yaml
+from harness.suite.material_folders import spread
 from harness.suite.schema import MethodSpec, NamedSpec, Suite
 from harness.suite.sweep import expand
 
@@ -69,6 +70,10 @@ def load(name: str | Path) -> Loaded:
         raise InputError(f"{path}: not a text file; expected a suite in YAML") from None
     if not isinstance(data, dict):
         raise InputError(f"{path}: expected a mapping with the keys name, materials, methods, ...")
+    try:
+        data["materials"] = spread(data.get("materials"), lambda f: _absolute(f, path.parent))
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
     for key in LISTS:
         if isinstance(data.get(key), list):
             data[key] = [{"name": x} if isinstance(x, str) else x for x in data[key]]
@@ -188,7 +193,7 @@ def _absolute(file: str, folder: Path) -> str:
     """Relative to the suite's folder if it is there, else to the current one."""
     path = Path(file).expanduser()
     beside = folder / path
-    return str((beside if beside.is_file() else path).resolve())
+    return str((beside if beside.exists() else path).resolve())
 
 
 def _check_references(suite: Suite) -> None:

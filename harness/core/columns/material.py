@@ -56,6 +56,24 @@ class ColumnMaterial(Material):
             f = self.eval_columns(wide, [dr.gather(array, v, point) for v in points])
             return tensor_of(_target(f), rows=n * m).view(n, m)
 
+    def why_no_gradient(self) -> str:
+        """See :meth:`Material.why_no_gradient`: what is written in Dr.Jit has a derivative."""
+        return ""
+
+    def target_gradient(self, condition: Tensor, wo: Tensor) -> tuple[Tensor, Tensor]:
+        """See :meth:`Material.target_gradient`; by Dr.Jit's reverse mode, one kernel."""
+        n = len(condition)
+        if n == 0:
+            return condition.new_empty(0), condition.new_empty(0, 2)
+        with torch.inference_mode():
+            # Arrays of their own: a derivative is kept beside the array that it is of.
+            c, at = columns_of(condition), [type(v)(v) for v in columns_of(wo)]
+            dr.enable_grad(at)
+            found = _target(self.eval_columns(c, at))
+            dr.backward(found)
+            packed = tensor_of(dr.detach(found), *(dr.grad(v) for v in at), rows=n)
+        return packed[:, 0].clone(), packed[:, 1:].clone()
+
 
 def _target(rgb: Any) -> Float:
     return dr.abs(REC709[0] * rgb[0] + REC709[1] * rgb[1] + REC709[2] * rgb[2])

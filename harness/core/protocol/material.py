@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from harness.core.protocol.disk import luminance, square_to_disk
+from harness.core.protocol.errors import Unsupported
 
 
 class Material(ABC):
@@ -105,3 +106,35 @@ class Material(ABC):
         n, m = len(condition), wo.shape[1]
         rows = condition.repeat_interleave(m, 0)
         return self.target(rows, wo.expand(n, m, 2).reshape(-1, 2)).view(n, m)
+
+    def why_no_gradient(self) -> str:
+        """Why :meth:`target_gradient` has no answer; empty where it has one.
+
+        By default it is asked for one condition. A material overrides it that knows.
+        """
+        generator = torch.Generator().manual_seed(0)
+        try:
+            self.target_gradient(self.conditions(1, generator), torch.full((1, 2), 0.1))
+        except Unsupported as error:
+            return str(error)
+        return ""
+
+    def target_gradient(self, condition: Tensor, wo: Tensor) -> tuple[Tensor, Tensor]:
+        """:meth:`target` [N] and its derivative [N, 2] by ``wo``, per unit of the disk's radius.
+
+        By torch. Where f jumps the derivative is that of either side, as of its absolute value
+        at 0.
+
+        Raises:
+            Unsupported: :meth:`eval` is no differentiable function of ``wo``.
+        """
+        with torch.inference_mode(False), torch.enable_grad():
+            leaf = wo.detach().clone().requires_grad_()
+            found = self.target(condition.detach().clone(), leaf)
+            if not found.requires_grad:
+                raise Unsupported(
+                    f"material '{self.name}' gives no gradient of f: its values do not come from"
+                    " torch operations on wo"
+                )
+            (slope,) = torch.autograd.grad(found.sum(), leaf)
+        return found.detach(), slope

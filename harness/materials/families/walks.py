@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from harness.core.columns.bridge import Columns, Float, columns_of, tensor_of
+from harness.core.protocol.errors import Unsupported
 from harness.materials.families.base import Family
 from harness.materials.families.hashing import generator_at
 
@@ -77,3 +78,14 @@ class WalkFamily(Family):
                 for seed in range(1, repeats + 1)
             ]
         return torch.stack(values).std(0)
+
+    def why_no_gradient(self) -> str:
+        """See :meth:`Material.why_no_gradient`."""
+        return (
+            f"material '{self.name}' gives no gradient of f: it is a mean over random walks, whose"
+            " noise is another at every direction"
+        )
+
+    def target_gradient(self, condition: Tensor, wo: Tensor) -> tuple[Tensor, Tensor]:
+        """See :meth:`Material.target_gradient`; there is none."""
+        raise Unsupported(self.why_no_gradient())

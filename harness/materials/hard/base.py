@@ -12,6 +12,7 @@ import torch
 from torch import Tensor
 
 from harness.core.protocol.disk import inside_disk, luminance
+from harness.core.protocol.errors import Unsupported
 from harness.core.protocol.material import Material
 
 WHITE = (1.0, 1.0, 1.0)
@@ -63,6 +64,14 @@ class DiskMaterial(Material):
     def target_grid(self, condition: Tensor, wo: Tensor) -> Tensor:
         """See :meth:`Material.target_grid`; what depends on the row alone is found once."""
         return (self._lit(condition[:, None], wo) * luminance(wo.new_tensor(self.colour))).abs()
+
+    def target_gradient(self, condition: Tensor, wo: Tensor) -> tuple[Tensor, Tensor]:
+        """See :meth:`Material.target_gradient`: always by torch."""
+        try:
+            return super().target_gradient(condition, wo)
+        except Unsupported:
+            # Without a path to wo, f is constant in pieces.
+            return self.target(condition, wo), torch.zeros_like(wo)
 
     def _lit(self, condition: Tensor, wo: Tensor) -> Tensor:
         return torch.where(inside_disk(wo), self.factor(condition, wo), 0)

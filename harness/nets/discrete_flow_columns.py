@@ -1,0 +1,213 @@
+"""The steps of :mod:`harness.nets.discrete_flow` over columns, as loops inside one kernel."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import drjit as dr
+
+from harness.core.columns.bridge import Columns, Float
+from harness.core.protocol import counting
+from harness.nets.discrete_flow import ROUNDS, DiscreteFlow
+from harness.nets.solvers import step
+
+_TOLERANCE = 2.0**-19
+"""Of a step's end, relative to the places; a last step of Newton's squares it."""
+
+Matrix = tuple[Float, Float, Float, Float]
+"""Derivatives by x, then by y: (a, c, b, d) of rows (a, b), (c, d)."""
+
+
+class ColumnMoved(NamedTuple):
+    """See :class:`harness.nets.discrete_flow.Moved`; the determinant itself, not its logarithm."""
+
+    x: Columns
+    det: Float
+    jacobian: Matrix
+
+
+class ColumnOrigin(NamedTuple):
+    """See :class:`harness.nets.discrete_flow.Origin`."""
+
+    x: Columns
+    det: Float
+    found: Any
+
+
+def _width(flow: DiscreteFlow, array: type[Float]) -> Float:
+    """1 / S, as data: one kernel serves every number of steps."""
+    return dr.opaque(array, 1 / flow.steps)
+
+
+def _count(flow: DiscreteFlow, array: type[Float]) -> Any:
+    return dr.opaque(dr.uint32_array_t(array), flow.steps)
+
+
+def _add(x: Columns, h: Float, k: Columns) -> Columns:
+    return [dr.fma(b, h, a) for a, b in zip(x, k, strict=True)]
+
+
+def determinant(m: Matrix) -> Float:
+    """Of derivatives."""
+    a, c, b, d = m
+    return dr.fma(a, d, -(b * c))
+
+
+def solve(m: Matrix, right: Columns) -> Columns:
+    """The vector that the matrix takes to ``right``."""
+    a, c, b, d = m
+    x, y = right
+    scale = 1 / determinant(m)
+    return [(d * x - b * y) * scale, (a * y - c * x) * scale]
+
+
+def _times(m: Matrix, n: Matrix) -> Matrix:
+    a, c, b, d = m
+    return tuple(v for x, y in (n[:2], n[2:]) for v in (a * x + b * y, c * x + d * y))
+
+
+def one(flow: DiscreteFlow, x: Columns, k: Any, shared: Columns, back: bool = False) -> Columns:
+    """Step ``k`` (an integer column) from ``x``, explicitly back from its end with ``back``."""
+    array = type(x[0])
+    h = _width(flow, array)
+
+    def field(x: Columns, t: Float) -> Columns:
+        return flow.velocity.columns(x, t, shared)
+
+    t, h = ((array(k) + 1) * h, -h) if back else (array(k) * h, h)
+    return step(flow.solver, field, _add, x, t, h)
+
+
+def one_dual(
+    flow: DiscreteFlow, x: Columns, k: Any, shared: Columns, back: bool = False
+) -> tuple[Columns, Matrix]:
+    """:func:`one` with its derivatives."""
+    array = type(x[0])
+    h = _width(flow, array)
+
+    def field(x: Columns, t: Float) -> Columns:
+        return flow.velocity.push_columns(x, t, shared)
+
+    unit = [array(1), array(0), array(0), array(1)]
+    t, h = ((array(k) + 1) * h, -h) if back else (array(k) * h, h)
+    out = step(flow.solver, field, _add, [*x, *unit], t, h)
+    return out[:2], tuple(out[2:])
+
+
+def forward(flow: DiscreteFlow, x: Columns, shared: Columns) -> ColumnMoved:
+    """Where ``x`` leads, the determinant of the whole map there, and its derivatives."""
+    array = type(shared[0])
+    index = dr.uint32_array_t(array)
+
+    def body(k: Any, x: Float, y: Float, det: Float, *whole: Float) -> tuple:
+        (x, y), m = one_dual(flow, [x, y], k, shared)
+        return k + 1, x, y, det * determinant(m), *_times(m, whole)
+
+    count, unit = _count(flow, array), (array(1), array(0), array(0), array(1))
+    start = index(0), *(array(v) for v in x), array(1), *unit
+    _, x, y, det, *whole = _loop(start, lambda k, *rest: k < count, body, "flow")
+    return ColumnMoved([x, y], det, tuple(whole))
+
+
+def endpoint(flow: DiscreteFlow, x: Columns, shared: Columns) -> Columns:
+    """Where ``x`` leads, without a density."""
+    array = type(shared[0])
+
+    def body(k: Any, x: Float, y: Float) -> tuple:
+        return k + 1, *one(flow, [x, y], k, shared)
+
+    count = _count(flow, array)
+    start = dr.uint32_array_t(array)(0), *(array(v) for v in x)
+    _, x, y = _loop(start, lambda k, *rest: k < count, body, "flow")
+    return [x, y]
+
+
+def backward(flow: DiscreteFlow, x: Columns, shared: Columns) -> ColumnOrigin:
+    """**Not** the inverse: see :meth:`DiscreteFlow.backward`; ``det`` of the map it goes back."""
+    array = type(shared[0])
+
+    def body(k: Any, x: Float, y: Float, det: Float) -> tuple:
+        (x, y), m = one_dual(flow, [x, y], k - 1, shared, back=True)
+        return k - 1, x, y, det / determinant(m)
+
+    start = _count(flow, array), *(array(v) for v in x), array(1)
+    _, x, y, det = _loop(start, lambda k, *rest: k > 0, body, "flow back")
+    return ColumnOrigin([x, y], det, dr.mask_t(array)(True))
+
+
+def invert(flow: DiscreteFlow, x: Columns, shared: Columns, active: Any = True) -> ColumnOrigin:
+    """The start of what ends in ``x``, by Newton's method, step after step; and whether found.
+
+    As :meth:`DiscreteFlow.invert`. Rows that are not ``active`` stay where they are, and packets of
+    rows without an active one cost nothing.
+    """
+    array = type(shared[0])
+    mask = dr.mask_t(array)
+
+    def body(k: Any, x: Float, y: Float, det: Float, found: Any, active: Any) -> tuple:
+        k = k - 1
+        (x, y), m, converged = _invert_one(flow, [x, y], k, shared)
+        return k, x, y, det * determinant(m), found & converged, active
+
+    start = _count(flow, array), *(array(v) for v in x), array(1), mask(True), mask(active)
+    _, x, y, det, found, _ = _loop(
+        start, lambda k, x, y, det, found, active: active & (k > 0), body, "flow inverse"
+    )
+    if counting.wanted():
+        counting.add("not inverted", dr.count(mask(active) & ~found)[0])
+    return ColumnOrigin([x, y], det, found)
+
+
+def _invert_one(
+    flow: DiscreteFlow, target: Columns, k: Any, shared: Columns
+) -> tuple[Columns, Matrix, Any]:
+    """The ``x`` that step ``k`` takes to ``target``, the step's derivatives there, and whether it
+    was found. A step of Newton's that does not come nearer is halved."""
+    array = type(shared[0])
+    index = dr.uint32_array_t(array)
+    guess = one(flow, target, k, shared, back=True)
+    scale = 1 + _size(target) + _size(guess)
+    goal = _TOLERANCE * scale
+
+    def body(
+        i: Any, x: Float, y: Float, dx: Float, dy: Float, left: Float,
+        a: Float, c: Float, b: Float, d: Float, rx: Float, ry: Float,
+    ) -> tuple:  # fmt: skip
+        trial = [x + dx, y + dy]
+        out, m = one_dual(flow, trial, k, shared)
+        right = [t - o for t, o in zip(target, out, strict=True)]
+        away = _size(right)
+        better = away < left
+        kept = [
+            dr.select(better, new, old)
+            for new, old in zip([*trial, *m, *right], [x, y, a, c, b, d, rx, ry], strict=True)
+        ]
+        x, y, *matrix, rx, ry = kept
+        newton = solve(tuple(matrix), [rx, ry])
+        dx, dy = (
+            dr.select(better, new, 0.5 * old) for new, old in zip(newton, [dx, dy], strict=True)
+        )
+        return i + 1, x, y, dx, dy, dr.select(better, away, left), *matrix, rx, ry
+
+    zero, far = array(0), array(dr.inf)
+    start = (
+        index(0), *(array(v) for v in guess), zero, zero, far,
+        array(1), zero, zero, array(1), zero, zero,
+    )  # fmt: skip
+    found = _loop(
+        start,
+        lambda i, x, y, dx, dy, left, *rest: (i < ROUNDS) & ~(left <= goal),
+        body,
+        "newton",
+    )
+    _, x, y, _, _, left, *matrix, rx, ry = found
+    move = solve(tuple(matrix), [rx, ry])
+    return [x + move[0], y + move[1]], tuple(matrix), left <= 16 * goal
+
+
+def _size(v: Columns) -> Float:
+    return dr.maximum(dr.abs(v[0]), dr.abs(v[1]))
+
+
+def _loop(state: tuple, cond: Any, body: Any, label: str) -> tuple:
+    return dr.while_loop(state, cond, body, mode="symbolic", label=label)

@@ -1,0 +1,223 @@
+r"""The velocity field of a flow of the plane, u(x, t, condition), and its derivatives by x.
+
+One perceptron of (x, t, encoded condition). The condition's share of the first layer is the same at
+every x and t: it is computed once for all steps of a flow. Derivatives are taken forward: with the
+activations of x go their derivatives along two directions, so that a step and its 2 x 2 Jacobian
+are one pass of three vectors.
+"""
+
+from __future__ import annotations
+
+import drjit as dr
+import drjit.nn
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from harness.core.columns.bridge import Columns, Float
+from harness.core.protocol import counting
+from harness.nets import activations
+
+REACH = 8.0
+
+
+class Velocity(nn.Module):
+    r"""(x 2, t 1, encoded condition E) -> ``layers`` hidden layers of ``width`` -> u 2.
+
+    x is seen as :math:`r \tanh(x / r)`, r = 8, which is x where samples are. So u is bounded, and
+    every step :math:`x + h u` reaches the whole plane: a density asked for anywhere has a point
+    that it comes from. ``bounded=False`` leaves x as it is. With ``waves`` the network sees the
+    sines and cosines of x at 1, 2, 4, ... too. The last layer starts at zero, the flow as its base.
+
+    Duals are tensors [3, B, D, 2] (or six columns): x, and its derivatives along two directions.
+    """
+
+    def __init__(
+        self,
+        encoded: int,
+        width: int,
+        layers: int,
+        activation: str = "silu",
+        bounded: bool = True,
+        waves: int = 0,
+    ):
+        super().__init__()
+        self.waves, self.own = waves, 3 + 4 * waves
+        widths = [self.own + encoded, *[width] * layers, 2]
+        self.layers = nn.ModuleList(
+            nn.Linear(a, b) for a, b in zip(widths[:-1], widths[1:], strict=True)
+        )
+        nn.init.zeros_(self.layers[-1].weight)
+        nn.init.zeros_(self.layers[-1].bias)
+        with torch.no_grad():
+            # x is two inputs of many, and the ones that the field bends along.
+            self.layers[0].weight[:, :2] *= 3
+        self.activation, self.bounded = activation, bounded
+        self._packed: tuple[bytes, list, list] | None = None
+
+    # --- torch -------------------------------------------------------------------------
+
+    def shared(self, encoded: Tensor) -> Tensor:
+        """What the condition adds to the first layer: [B, E] -> [B, 1, width]."""
+        first = self.layers[0]
+        return nn.functional.linear(encoded, first.weight[:, self.own :], first.bias)[:, None]
+
+    def _seen(self, x: Tensor) -> tuple[list[Tensor], list[Tensor]]:
+        """What the first layer sees of x, in parts [..., 2], and each part's slopes."""
+        values, slopes = [x], [torch.ones_like(x)]
+        if self.bounded:
+            inner = torch.tanh(x / REACH)
+            values, slopes = [REACH * inner], [1 - inner * inner]
+        for k in range(self.waves):
+            angle = 2**k * values[0]
+            sin, cos = torch.sin(angle), torch.cos(angle)
+            values += [sin, cos]
+            slopes += [2**k * slopes[0] * cos, -(2**k) * slopes[0] * sin]
+        return values, slopes
+
+    def _place(self, parts: list[Tensor]) -> Tensor:
+        """The first layer's matrix times those parts: [..., 2] each."""
+        weight = self.layers[0].weight
+        columns = torch.cat([weight[:, :2], weight[:, 3 : self.own]], 1)
+        return torch.cat(parts, -1) @ columns.T
+
+    def forward(self, x: Tensor, t: Tensor | float, shared: Tensor) -> Tensor:
+        """u [B, D, 2] at x [B, D, 2], times ``t`` (a number, or [B, D, 1])."""
+        counting.add("network", x[..., 0].numel())
+        first, *rest = self.layers
+        v = self._place(self._seen(x)[0]) + (shared + t * first.weight[:, 2])
+        for layer in rest:
+            v = layer(activations.value(self.activation, v))
+        return v
+
+    def push(self, dual: Tensor, t: float, shared: Tensor) -> Tensor:
+        """u and its derivatives along the dual's two directions: [3, B, D, 2]."""
+        counting.add("network", dual[0, ..., 0].numel())
+        first, *rest = self.layers
+        values, slopes = self._seen(dual[0])
+        v = self._place(values) + (shared + t * first.weight[:, 2])
+        tangents = self._place([slope * dual[1:] for slope in slopes])
+        for layer in rest:
+            value, tangents = activations.push(self.activation, v, tangents)
+            v, tangents = layer(value), tangents @ layer.weight.T
+        return torch.cat([v[None], tangents])
+
+    # --- columns -----------------------------------------------------------------------
+
+    def shared_columns(self, encoded: Columns) -> Columns:
+        """:meth:`shared` over columns."""
+        return self._product("condition", encoded, type(encoded[-1]))
+
+    def columns(self, x: Columns, t: Float, shared: Columns) -> Columns:
+        """:meth:`forward` over columns."""
+        array = type(shared[0])
+        v = self._first(self._seen_columns(x)[0], t, shared)
+        for i in range(1, len(self.layers)):
+            v = self._product(i, activations.value_columns(self.activation, v), array)
+        return v
+
+    def push_columns(self, dual: Columns, t: Float, shared: Columns) -> Columns:
+        """:meth:`push` over six columns: x, and the two derivatives."""
+        array = type(shared[0])
+        values, slopes = self._seen_columns(dual[:2])
+        v = self._first(values, t, shared)
+        zero, tangents = array(0), []
+        for along in (dual[2:4], dual[4:6]):
+            # Parts come in pairs, of x and of y.
+            moved = [s * along[i % 2] for i, s in enumerate(slopes)]
+            tangents.append(self._product("place", [*moved[:2], zero, *moved[2:]], array))
+        for i in range(1, len(self.layers)):
+            value, slope = activations.with_slope_columns(self.activation, v)
+            v = self._product(i, value, array)
+            tangents = [
+                self._product(i, [s * d for s, d in zip(slope, along, strict=True)], array, False)
+                for along in tangents
+            ]
+        return [*v, *tangents[0], *tangents[1]]
+
+    def _seen_columns(self, x: Columns) -> tuple[Columns, Columns]:
+        """:meth:`_seen` over columns: values and slopes, two a part."""
+        array = type(x[0])
+        values, slopes = list(x), [array(1), array(1)]
+        if self.bounded:
+            inner = [dr.tanh(v * (1 / REACH)) for v in x]
+            values = [REACH * v for v in inner]
+            slopes = [dr.fma(-v, v, 1) for v in inner]
+        pairs = [dr.sincos(v) for v in values] if self.waves else []
+        for k in range(self.waves):
+            (sx, cx), (sy, cy) = pairs
+            a, b = (2**k * s for s in slopes[:2])
+            values += [sx, sy, cx, cy]
+            slopes += [a * cx, b * cy, -a * sx, -b * sy]
+            pairs = [(2 * s * c, dr.fma(-2 * s, s, 1)) for s, c in pairs]
+        return values, slopes
+
+    def _first(self, x: Columns, t: Float, shared: Columns) -> Columns:
+        product = self._product("place", [*x[:2], t, *x[2:]], type(shared[0]))
+        return [p + s for p, s in zip(product, shared, strict=True)]
+
+    def _product(
+        self, which: int | str, x: Columns, array: type[Float], biased: bool = True
+    ) -> Columns:
+        """A layer's matrix times ``x``; of the first, the part of the condition or of (x, t)."""
+        if dr.backend_v(array) == dr.JitBackend.CUDA:
+            return self._product_scalar(which, x, array, biased)
+        weights, biases = self._pack(array)
+        bias = biases.get(which) if biased else None
+        vector = drjit.nn.CoopVec(*x)
+        if bias is None:
+            return list(drjit.nn.matvec(weights[which], vector))
+        return list(drjit.nn.matvec(weights[which], vector, bias))
+
+    def _product_scalar(
+        self, which: int | str, x: Columns, array: type[Float], biased: bool
+    ) -> Columns:
+        """Multiply-adds written out: 32-bit cooperative vectors do not exist on CUDA."""
+        weight, bias = self._part(which)
+        w = array(weight.reshape(-1).contiguous())
+        b = array(bias.contiguous()) if biased and bias is not None else None
+        out = []
+        for row in range(weight.shape[0]):
+            s = array(0) if b is None else dr.gather(array, b, row)
+            for k, value in enumerate(x):
+                s = dr.fma(dr.gather(array, w, row * weight.shape[1] + k), value, s)
+            out.append(s)
+        return out
+
+    def _part(self, which: int | str) -> tuple[Tensor, Tensor | None]:
+        """Matrix and bias of a layer, or of a part of the first."""
+        layer = self.layers[which if isinstance(which, int) else 0]
+        weight, bias = layer.weight.detach().float(), layer.bias.detach().float()
+        if which == "condition":
+            return weight[:, self.own :], bias
+        return (weight[:, : self.own], None) if which == "place" else (weight, bias)
+
+    def _pack(self, array: type[Float]) -> tuple[dict, dict]:
+        """Weights as packed matrix views, made again whenever a parameter has changed."""
+        # By content: torch's version counter misses the writes of fused optimisers.
+        content = b"".join(p.detach().float().cpu().numpy().tobytes() for p in self.parameters())
+        if self._packed is None or self._packed[0] != content:
+            names = ["condition", "place", *range(1, len(self.layers))]
+            parts = [self._part(name) for name in names]
+            tensor = dr.tensor_t(array)
+            weights = [tensor(np.ascontiguousarray(w.cpu().numpy())) for w, _ in parts]
+            biased = [name for name, (_, b) in zip(names, parts, strict=True) if b is not None]
+            biases = [array(b.cpu().numpy()) for _, b in parts if b is not None]
+            packed = drjit.nn.pack(*weights, *biases, layout="inference")
+            n = len(names)
+            self._packed = (
+                content,
+                dict(zip(names, packed[:n], strict=True)),
+                dict(zip(biased, packed[n:], strict=True)),
+            )
+        return self._packed[1], self._packed[2]
+
+    def __deepcopy__(self, memo: dict) -> Velocity:
+        import copy
+
+        clone = self.__new__(type(self))
+        nn.Module.__init__(clone)
+        clone.layers = copy.deepcopy(self.layers, memo)
+        clone.activation, clone.bounded, clone._packed = self.activation, self.bounded, None
+        clone.waves, clone.own = self.waves, self.own
+        return clone

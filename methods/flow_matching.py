@@ -1,0 +1,346 @@
+"""Flow matching: a velocity field carries a simple base to the directions, in few or many steps."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any, ClassVar
+
+import drjit as dr
+import torch
+from torch import Tensor
+
+from harness.core.columns.bridge import Columns, Float
+from harness.core.columns.method import ColumnMethod
+from harness.core.protocol.errors import InputError, StateRefused, nearest
+from harness.core.protocol.material import Material
+from harness.core.protocol.method import Budget, FitReport, Knob
+from harness.fitting import flow_matching as losses
+from harness.fitting.flow_in_torch import FlowInTorch
+from harness.fitting.flow_steadiness import Steadiness, steadiness
+from harness.fitting.precision import PRECISIONS, checked_precision, round_weights
+from harness.fitting.steady import SteadyMethod
+from harness.fitting.targets import Targets
+from harness.fitting.train import minimise
+from harness.nets import defensive, discrete_flow_columns, domains
+from harness.nets.activations import ACTIVATIONS
+from harness.nets.conditional_flow import ColumnConditioned, ConditionalFlow
+from harness.nets.coupling import uniforms_of_normal, unit_normal_columns
+from harness.nets.discrete_flow import DiscreteFlow
+from harness.nets.extremes import FAR, held
+from harness.nets.mixture_base import BASES, ColumnMixture
+from harness.nets.solvers import SOLVERS
+
+TRAININGS = ("matching", "likelihood")
+
+
+class FlowMatching(SteadyMethod, ColumnMethod):
+    r"""Flow matching with the exact density of its few steps: PureSample, sections 5.1 and 6.3.
+
+    A network u(x, t, condition) moves a sample of the base to the direction in S steps of Euler's
+    method (or ``midpoint``, ``rk4``),
+
+    .. math:: x_{k+1} = x_k + \tfrac{1}{S}\,u(x_k, \tfrac{k}{S}), \qquad
+              p(\omega) = p_0(x_0) \prod_k
+              \left|\det \frac{\partial x_{k+1}}{\partial x_k}\right|^{-1}
+
+    As published: ``base`` the standard normal, the disk's own coordinates, five hidden layers of
+    64, the regression of eq. 3 (``training="matching"``), and ten steps after one ``reflow``. The
+    density is not the published one, which steps back along other points and is that of no
+    sampler (``flow-matching-published`` has it), but the discrete map's own: :meth:`sample`
+    multiplies the determinants on its way, :meth:`pdf` inverts each step
+    (:mod:`harness.nets.discrete_flow`).
+
+    Ours: ``base="gaussian"`` or ``"lobes"`` with a network of their own (Fu et al. 2024 have the
+    first); ``domain="plane"``, where the uniform disk *is* the standard normal, or ``"square"``
+    (:mod:`harness.nets.domains`); base points and directions paired within a batch (``pairing``);
+    ``training="likelihood"``, which maximises the density of the S steps themselves, after a fit by
+    matching where there is a ``reflow``. ``budget.steps`` is shared evenly among matching, each
+    reflow and likelihood.
+
+    A share ``uniform`` of the samples is uniform on the disk, with ``lambertian`` a condition's own
+    share from there up to one. In ``plane`` it is part of the base and costs nothing; elsewhere a
+    sample of it has its density by :meth:`pdf`'s way, at a step's inverse each.
+
+    States whose steps are not one to one, or that single precision cannot follow, are refused. Uses
+    three uniforms. Per disk area.
+    """
+
+    name = "flow-matching"
+    uniforms = 3
+    origin = "its base point"
+    learning_rate = 5e-3
+    weight_decay = 0.0
+
+    knobs: ClassVar[tuple[Knob, ...]] = (
+        Knob("steps", (2, 4, 10, 50), "steps from the base to the direction"),
+        Knob("solver", tuple(SOLVERS), "evaluations a step: one, two or four"),
+        Knob("width", (16, 32, 64), "neurons of a hidden layer"),
+        Knob("layers", (2, 3, 5), "hidden layers"),
+        Knob("reflow", (0, 1, 2), "times that it is fitted to its own pairs"),
+        Knob("precision", PRECISIONS, "of the weights: bytes on disk, no time"),
+        Knob("budget.steps", (100, 300, 1000, 3000), "optimiser steps"),
+    )
+
+    module: ConditionalFlow
+
+    def __init__(
+        self,
+        steps: int = 10,
+        solver: str = "euler",
+        base: str = "normal",
+        domain: str = "disk",
+        width: int = 64,
+        layers: int = 5,
+        activation: str = "silu",
+        training: str = "matching",
+        reflow: int = 1,
+        pairing: bool = False,
+        uniform: float = 0.01,
+        lambertian: bool = False,
+        base_width: int = 32,
+        frequencies: int = 5,
+        waves: int = 0,
+        precision: str = "float32",
+    ):
+        for key, value, known in (
+            ("solver", solver, SOLVERS),
+            ("base", base, BASES),
+            ("domain", domain, domains.DOMAINS),
+            ("activation", activation, ACTIVATIONS),
+            ("training", training, TRAININGS),
+        ):
+            if value not in known:
+                raise InputError(f"{self.name}: {key} is '{value}'{nearest(str(value), known)}")
+        if min(steps, width, layers, base_width) < 1 or reflow < 0:
+            raise InputError(
+                f"{self.name}: expected at least one of steps, width, layers and base_width and no"
+                f" negative reflow, not {steps}, {width}, {layers}, {base_width} and {reflow}"
+            )
+        self.steps, self.solver, self.training, self.reflow = steps, solver, training, reflow
+        self.pairing, self.domain = pairing, domain
+        self.uniform = defensive.checked_share(uniform, self.name)
+        self.precision = checked_precision(precision, self.name)
+        self.shape: dict[str, Any] = {
+            "base": base,
+            "base_width": base_width,
+            "domain": domain,
+            "width": width,
+            "layers": layers,
+            "activation": activation,
+            "frequencies": frequencies,
+            "waves": waves,
+            "framed": base != "normal",
+            "share": self.uniform,
+            "own_share": lambertian,
+        }
+
+    def build(self, material: Material) -> ConditionalFlow:
+        """See :meth:`ModuleMethod.build`."""
+        return ConditionalFlow(material, **self.shape)
+
+    def flow(self, net: ConditionalFlow | None = None) -> DiscreteFlow:
+        """The steps through the velocity of ``net``, by default the fitted one."""
+        return DiscreteFlow((net or self.module).velocity, self.steps, self.solver)
+
+    # --- fitting -----------------------------------------------------------------------
+
+    def fit(self, material: Material, budget: Budget, generator: torch.Generator) -> FitReport:
+        """See :meth:`Method.fit`.
+
+        Raises:
+            StateRefused: a step is not one to one, or moves too much for single precision.
+        """
+        self.material = material
+        seed = int(torch.randint(1 << 62, (), generator=generator))
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(seed)
+            self.module = self.build(material)
+        targets = Targets.build(material, budget, generator)
+        self.prepare(targets)
+        phases = self.phases()
+        reports = []
+        for i, phase in enumerate(phases):
+            # The first takes what does not divide evenly.
+            steps = budget.steps // len(phases) + (budget.steps % len(phases) if i == 0 else 0)
+            part = replace(budget, steps=steps)
+            loss = self._loss_of(phase, targets, part, generator)
+            reports.append(
+                minimise(
+                    self.module,
+                    loss,
+                    targets,
+                    part,
+                    learning_rate=self.learning_rate,
+                    weight_decay=self.weight_decay,
+                )
+            )
+        round_weights(self.module, self.precision)
+        self.refuse_unsteady()
+        return _joined(reports, phases)
+
+    def phases(self) -> list[str]:
+        """What a fit does, in order."""
+        if self.training == "likelihood" and not self.reflow:
+            return ["likelihood"]
+        last = ["likelihood"] if self.training == "likelihood" else []
+        return ["matching", *["reflow"] * self.reflow, *last]
+
+    def _loss_of(
+        self, phase: str, targets: Targets, budget: Budget, generator: torch.Generator
+    ) -> Callable[[], Tensor]:
+        net = self.module
+        if phase == "matching":
+            return lambda: losses.matching_loss(net, targets, budget, generator, self.pairing)
+        if phase == "likelihood":
+            return lambda: losses.likelihood_loss(
+                net, self.steps, self.solver, targets, budget, generator
+            )
+        pairs: list[losses.Pairs] = []
+
+        def loss() -> Tensor:
+            if not pairs:  # made inside the fit, so that their time counts
+                pairs.append(losses.Pairs.of(net, targets.condition, generator))
+            return pairs[0].loss(net, budget, generator)
+
+        return loss
+
+    def log_prob(self, condition: Tensor, wo: Tensor) -> Tensor:
+        """Log density [B, D]."""
+        return self._log_prob(self.module, condition, wo)
+
+    def _log_prob(self, net: ConditionalFlow, condition: Tensor, wo: Tensor) -> Tensor:
+        return net.log_prob(self.flow(net), condition, wo)[0]
+
+    # --- whether the state can be run --------------------------------------------------
+
+    def measured(self) -> Steadiness:
+        """Shares of samples that are no numbers, that fold, and that rounding moves: see there."""
+        if self.material is None:
+            raise RuntimeError(f"{self.name}: used before fit or bind")
+        return steadiness(self.module, self.flow(), self.material)
+
+    def unsteady(self) -> float:
+        """The largest of the shares that are :meth:`measured`."""
+        return max(self.measured())
+
+    def refuse_unsteady(self) -> None:
+        """:class:`StateRefused` if a sample is no number, folded, or moved."""
+        found = self.measured()
+        if found.broken:
+            raise StateRefused(
+                f"{self.name}: state refused: {found.broken:.2%} of the samples are no numbers: the"
+                " velocity or its base is not finite; expected none",
+                found.broken,
+            )
+        if found.folded:
+            raise StateRefused(
+                f"{self.name}: state refused: in {found.folded:.2%} of the samples one of the"
+                f" {self.steps} {self.solver} steps is not one to one (its determinant is not"
+                " positive), so that the density would not be that of what is drawn; expected none",
+                found.folded,
+            )
+        if found.moved:
+            raise self.moved_by_rounding(found.moved)
+
+    # --- what lets a check look deeper -------------------------------------------------
+
+    @torch.no_grad()
+    def inverse(self, condition: Tensor, wo: Tensor) -> Tensor | None:
+        """See :meth:`Method.inverse`: of the one lobe's branch, in double; None for a mixture."""
+        if self.shape["base"] == "lobes" or self.shape["own_share"]:
+            return None
+        net = copy.deepcopy(self.module).double()
+        at = net.at(condition.double())
+        place, _ = net.place(at, wo[:, None].double())
+        origin = self.flow(net).invert(place, at.shared).x[:, 0]
+        z = (origin - at.base.mean[:, -1]) * torch.exp(-at.base.log_sigma[:, -1])
+        u = uniforms_of_normal(z)
+        # The middle of what is not the uniform share's.
+        return torch.cat([u, torch.full_like(u[:, :1], (1 + self.uniform) / 2)], 1)
+
+    def extremes(self) -> dict[str, dict[str, Tensor]]:
+        """See :meth:`Method.extremes`: the base's Gaussians at their narrowest and widest."""
+        net = self.module.base
+        if not net.lobes:
+            return {}
+        last, n = f"base.net.layers.{len(net.net.layers) - 1}", net.lobes
+        return {
+            name: held(self.state_dict(), last, slice(2 * n, 4 * n), raw)
+            for name, raw in (("scale-to-0", -FAR), ("scale-to-infinity", FAR))
+        }
+
+    def in_torch(self) -> FlowInTorch:
+        """The same sampler by torch, for timings beside it."""
+        return FlowInTorch(self, self.flow())
+
+    # --- sampling ----------------------------------------------------------------------
+
+    def sample_columns(self, c: Columns, u: Columns) -> tuple[Float, Float, Float]:
+        """See :meth:`ColumnMethod.sample_columns`.
+
+        The rounding of the direction, which near the rim moves its place in the plane, is taken
+        back to the base by the map's Jacobian: the density is the one at the rounded direction.
+        """
+        net, flow = self.module, self.flow()
+        at = net.at_columns(c)
+        elsewhere, pick = self._outside(at.base, u)
+        x0 = at.base.place(unit_normal_columns(u), pick)
+        moved = discrete_flow_columns.forward(flow, x0, at.shared)
+        wo = net.direction_columns(at, moved.x)
+        if elsewhere is not None:
+            there = defensive.uniform_disk_columns(u)
+            wo = [dr.select(elsewhere, a, b) for a, b in zip(there, wo, strict=True)]
+        place, slope = net.place_columns(at, wo)
+        away = [a - b for a, b in zip(place, moved.x, strict=True)]
+        shift = discrete_flow_columns.solve(moved.jacobian, away)
+        origin, det = [a + b for a, b in zip(x0, shift, strict=True)], moved.det
+        if elsewhere is not None:
+            other = discrete_flow_columns.invert(flow, place, at.shared, elsewhere)
+            det = dr.select(elsewhere, other.det, det)
+            origin = [dr.select(elsewhere, a, b) for a, b in zip(other.x, origin, strict=True)]
+        return *wo, self._mixed(at.base.pdf(origin) * (slope / dr.abs(det)), wo, at.base)
+
+    def pdf_columns(self, c: Columns, wo: Columns) -> Float:
+        """See :meth:`ColumnMethod.pdf_columns`; not a number where no origin was found."""
+        return self._density(self.module.at_columns(c), wo)
+
+    def _density(self, at: ColumnConditioned, wo: Columns) -> Float:
+        place, slope = self.module.place_columns(at, wo)
+        origin = self.origin_columns(place, at.shared)
+        pdf = at.base.pdf(origin.x) * (slope / dr.abs(origin.det))
+        # Where there is no place there is no sample, and nothing to be found.
+        pdf = dr.select(origin.found | (slope == 0), pdf, dr.nan)
+        return self._mixed(pdf, wo, at.base)
+
+    def origin_columns(self, place: Columns, shared: Columns) -> Any:
+        """Where ``place`` comes from, for :meth:`pdf_columns`."""
+        return discrete_flow_columns.invert(self.flow(), place, shared)
+
+    def _outside(self, base: ColumnMixture, u: Columns) -> tuple[Any, Float]:
+        """Which rows are the uniform share's beside the flow (None: no such share), and the uniform
+        that picks a lobe in the others."""
+        share = base.share
+        if self.domain == "plane" or (isinstance(share, float) and share == 0):
+            return None, u[2]
+        return u[2] < share, (u[2] - share) / (1 - share)
+
+    def _mixed(self, pdf: Float, wo: Columns, base: ColumnMixture) -> Float:
+        return pdf if self.domain == "plane" else defensive.mixed_columns(pdf, wo, base.share)
+
+
+def _joined(reports: list[FitReport], phases: list[str]) -> FitReport:
+    """One report of all phases."""
+    whole = FitReport(
+        steps=sum(r.steps for r in reports),
+        parameters=reports[-1].parameters,
+        data_seconds=reports[0].data_seconds,
+        optimise_seconds=sum(r.optimise_seconds for r in reports),
+        loss=[value for r in reports for value in r.loss],
+        part_seconds=reports[0].part_seconds if len(reports) == 1 else [],
+    )
+    spent = [f"{p} {r.optimise_seconds:.1f} s" for p, r in zip(phases, reports, strict=True)]
+    notes = [", ".join(spent)] if len(reports) > 1 else []
+    whole.notes = "; ".join([*notes, *filter(None, [reports[0].notes])])
+    return whole
