@@ -179,6 +179,10 @@ class Method(ABC):
         """The uniforms [N, 3] that :meth:`sample` maps to ``wo``; None if the map is not one."""
         return None
 
+    def in_torch(self) -> Method | None:
+        """The same sampler in torch alone, to compare times with; None if there is none."""
+        return None
+
     def extremes(self) -> dict[str, dict[str, Tensor]]:
         """Complete states at the ends of the parameters' range, by name (``sigma-to-0``)."""
         return {}
