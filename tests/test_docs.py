@@ -47,3 +47,9 @@ def test_the_readme_is_short_and_its_suite_is_valid():
     assert len(text.splitlines()) < 200
     (block,) = re.findall(r"```yaml\n(.*?)```", text, re.DOTALL)
     assert {"materials", "methods", "scenes", "measures"} <= set(yaml.safe_load(block))
+
+
+def test_every_suite_is_listed():
+    text = (ROOT / "docs" / "suites.md").read_text("utf-8")
+    names = {file.stem for file in (ROOT / "suites").glob("*.yaml")}
+    assert names <= set(re.findall(r"`([\w-]+)`", text))

@@ -62,7 +62,7 @@ def run(
         budget = Budget(steps=steps, pool=256, device=device)
         method.fit(material, budget, torch.Generator().manual_seed(0))
         jobs.append(_job(name, method, material, budget, rounds))
-        if twin := method.in_torch():
+        if (twin := method.in_torch()) is not None:
             # What the same network costs without columns; timed alone, not in a render.
             jobs.append(_job(f"{name}, torch", twin, material, budget, rounds))
     native = _native_times(scene, material, rounds, notify)

@@ -10,7 +10,7 @@ import mitsuba as mi
 from harness.effects.base import Recipe
 from harness.mitsuba_runtime import mitsuba_xml
 from harness.rendering import plugin
-from harness.rendering.effect_wrapper import RelayBSDF
+from harness.rendering.effect_wrapper import EffectWrapper
 from harness.scenes.base import XmlScene
 from harness.scenes.xml import light_kind
 
@@ -22,14 +22,14 @@ def build_xml(
     bsdfs: Mapping[str, mi.BSDF],
     resolution: int,
     recipe: Recipe,
-    relay: Callable[[mi.BSDF], RelayBSDF] | None = None,
+    wrap: Callable[[mi.BSDF], EffectWrapper] | None = None,
     counted: bool = False,
 ) -> mi.Scene:
     """The user's file with each BSDF whose id is in ``bsdfs`` replaced by that one.
 
     Camera and geometry stay the file's own, and of the lights, media and lens those that
     ``recipe`` has. Integrator, sampler and film become those of the harness, with the aspect
-    ratio of what the file's film shows and ``resolution`` pixels across. ``relay`` wraps the
+    ratio of what the file's film shows and ``resolution`` pixels across. ``wrap`` wraps the
     BSDFs that stay, if it is given; ``counted`` makes lights that a meter can be put on.
     """
     where = f"scene '{scene.file}'"
@@ -48,11 +48,11 @@ def build_xml(
             _pinhole(sensor)
     for i in [i for i, _ in mitsuba_xml.nodes(state, "Sensor")]:
         _film(state, i, resolution)
-    if relay is not None:
+    if wrap is not None:
         _wrap_bsdfs(state)
     if counted:
         _wrap_lights(state)
-    with plugin.offered(bsdfs, relay):
+    with plugin.offered(bsdfs, wrap):
         return mitsuba_xml.instantiate(state, scene.file.parent, where)
 
 
@@ -68,7 +68,7 @@ def _replace(state: Any, bsdfs: Mapping[str, mi.BSDF]) -> None:
 
 
 def _wrap_bsdfs(state: Any) -> None:
-    """Put every outermost BSDF of the file's own into a relay that takes its place."""
+    """Put every outermost BSDF of the file's own into a wrapper that takes its place."""
     outermost = {
         child
         for node in state.nodes
@@ -80,7 +80,7 @@ def _wrap_bsdfs(state: Any) -> None:
         for i, node in mitsuba_xml.nodes(state, "BSDF")
         if i in outermost and node.props.plugin_name() != "harness"
     ]
-    moved = {i: _wrap(state, i, "harness-relay") for i in places}
+    moved = {i: _wrap(state, i, "harness-effect-wrapper") for i in places}
     for i, node in mitsuba_xml.nodes(state, "BSDF"):
         for key, child in mitsuba_xml.references(node):
             # One that stands inside another, too, stays bare there.

@@ -15,7 +15,7 @@ from harness.rendering.meter import Meter
 from harness.rendering.plugin import unweighed
 
 
-class RelayBSDF(mi.BSDF):
+class EffectWrapper(mi.BSDF):
     """``nested``, of which no light is sampled where the recipe says so, in its channels.
 
     It hands every call on, so it is slower than ``nested`` itself; :func:`needed` tells when
@@ -81,7 +81,7 @@ class RelayBSDF(mi.BSDF):
 
     def to_string(self) -> str:
         """For Mitsuba's messages."""
-        return f"RelayBSDF[{self.nested.class_name()}]"
+        return f"EffectWrapper[{self.nested.class_name()}]"
 
     def _counted(self, value: Any, active: Any, what: str) -> Any:
         if self.meter is not None:

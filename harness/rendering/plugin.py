@@ -24,7 +24,7 @@ from harness.rendering import passes
 from harness.rendering.meter import Meter
 
 _OFFERED: dict[str, mi.BSDF] = {}
-_RELAY: list[Any] = []
+_WRAP: list[Any] = []
 
 
 def _one_condition(query: Callable[..., Any]) -> Callable[..., Any]:
@@ -321,27 +321,27 @@ def _on_active_rows(function: Any, columns: Columns, active: Any, outputs: int) 
 
 @contextlib.contextmanager
 def offered(
-    bsdfs: Mapping[str, mi.BSDF], relay: Callable[[mi.BSDF], mi.BSDF] | None = None
+    bsdfs: Mapping[str, mi.BSDF], wrap: Callable[[mi.BSDF], mi.BSDF] | None = None
 ) -> Iterator[None]:
     """What a scene file that is loaded in the block may refer to.
 
-    Each of ``bsdfs`` is ``<bsdf type="harness"><string name="key" .../>``, and what ``relay``
-    makes of another BSDF is ``<bsdf type="harness-relay">`` around that one.
+    Each of ``bsdfs`` is ``<bsdf type="harness"><string name="key" .../>``, and what ``wrap``
+    makes of another BSDF is ``<bsdf type="harness-effect-wrapper">`` around that one.
     """
     _OFFERED.update(bsdfs)
-    _RELAY[:] = [relay]
+    _WRAP[:] = [wrap]
     try:
         yield
     finally:
         # What stays alive is compiled into every symbolic kernel.
         _OFFERED.clear()
-        _RELAY.clear()
+        _WRAP.clear()
 
 
-def _relayed(props: Any) -> mi.BSDF:
+def _wrapped(props: Any) -> mi.BSDF:
     nested = (value for _, value in props.items())
-    return _RELAY[0](next(value for value in nested if isinstance(value, mi.BSDF)))
+    return _WRAP[0](next(value for value in nested if isinstance(value, mi.BSDF)))
 
 
 mi.register_bsdf("harness", lambda props: _OFFERED[props["key"]])
-mi.register_bsdf("harness-relay", _relayed)
+mi.register_bsdf("harness-effect-wrapper", _wrapped)

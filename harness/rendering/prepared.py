@@ -24,7 +24,7 @@ from harness.geometry.primitives import MaterialSpec
 from harness.materials import registry as materials
 from harness.rendering import build, counted_light, hit_check, passes, plugin
 from harness.rendering.build_xml import build_xml
-from harness.rendering.effect_wrapper import RelayBSDF, needed
+from harness.rendering.effect_wrapper import EffectWrapper, needed
 from harness.rendering.meter import Meter
 from harness.scenes.base import TESTED, Scene, XmlScene
 
@@ -111,7 +111,7 @@ def prepare_native(
     bsdf = material.mitsuba_bsdf()
     if bsdf is None:
         raise Unsupported(f"material '{material.name}' is no Mitsuba BSDF")
-    placed = RelayBSDF(bsdf, recipe) if needed(recipe, None) else bsdf
+    placed = EffectWrapper(bsdf, recipe) if needed(recipe, None) else bsdf
     return replace(_placed(scene, placed, resolution, recipe, None), symbolic=True)
 
 
@@ -156,10 +156,10 @@ def _placed(
             for key, spec in scene.replace_bsdf.items()
         }
 
-        def relay(nested: mi.BSDF) -> RelayBSDF:
-            return RelayBSDF(nested, recipe, meter)
+        def wrapper(nested: mi.BSDF) -> EffectWrapper:
+            return EffectWrapper(nested, recipe, meter)
 
-        wrap = relay if needed(recipe, meter) else None
+        wrap = wrapper if needed(recipe, meter) else None
         loaded = build_xml(scene, bsdfs, resolution, recipe, wrap, meter is not None)
     else:
         loaded = build.build(scene, placed, resolution, recipe, around, meter is not None)
@@ -198,7 +198,7 @@ def _bsdf(material: Material, recipe: Recipe, meter: Meter | None) -> mi.BSDF:
     material = material.with_effects(recipe.of(material.effects))
     own = material.mitsuba_bsdf()
     if own is not None:
-        return RelayBSDF(own, recipe, meter) if needed(recipe, meter) else own
+        return EffectWrapper(own, recipe, meter) if needed(recipe, meter) else own
     from harness.core import registry
 
     native = registry.make("native")

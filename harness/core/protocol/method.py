@@ -180,7 +180,7 @@ class Method(ABC):
         return None
 
     def in_torch(self) -> Method | None:
-        """The same fitted method without columns, to be timed beside it; None if there is none."""
+        """The same sampler in torch alone, to compare times with; None if there is none."""
         return None
 
     def extremes(self) -> dict[str, dict[str, Tensor]]:
