@@ -28,8 +28,8 @@ CHANGING = (
     Edit("render", "harness/nets/lobes.py", "_RANGE = 10.0", "_RANGE = 10.01"),
     Edit("render", "harness/nets/encoding.py", "waves = [(2 * s * c, dr.fma(-2 * s, s, 1))",
          "waves = [(2 * s * c, dr.fma(-2.002 * s, s, 1))"),
-    Edit("render", "harness/nets/mlp.py", "v = dr.maximum(v, self.slope * v)",
-         "v = dr.maximum(v, self.slope * v) * 1.001"),
+    Edit("render", "harness/nets/activations.py", "[dr.maximum(v, SLOPES[name] * v) for v in x]",
+         "[1.001 * dr.maximum(v, SLOPES[name] * v) for v in x]"),
     Edit("pdf", "methods/blinn_phong.py", "_LOG_EXPONENT_RANGE = 14.0",
          "_LOG_EXPONENT_RANGE = 14.01"),
     Edit("checks", "methods/histogram.py", "softplus(self.net(condition)) + self",
@@ -79,7 +79,7 @@ CHANGING = (
          "at = dr.fma(v - dr.floor(v), array(side), -0.501)"),
     Edit("checks", "harness/materials/hard/lobes.py", "centre = 0.999 * torch",
          "centre = 0.998 * torch"),
-    Edit("render", "harness/core/protocol/disk.py", "REC709 = (0.212671,", "REC709 = (0.212672,"),
+    Edit("render", "harness/core/protocol/disk.py", "REC709 = (0.212671,", "REC709 = (0.2129,"),
     Edit("pdf", "harness/core/protocol/disk.py", "phi = torch.where(wide, math.pi / 4 * ratio",
          "phi = torch.where(wide, math.pi / 4.001 * ratio"),
     # Tracing of microgeometry.
@@ -223,7 +223,7 @@ PROBED = (
          "def _scaled(values: Columns, scale: Float) -> Columns:\n"
          "    return [value * scale for value in values]"),
     Edit("render", "harness/nets/lobes.py", "    return _RANGE * dr.tanh(raw * (1 / _RANGE))",
-         "    bounded = dr.tanh(raw / _RANGE)\n    return bounded * _RANGE"),
+         "    bounded = dr.tanh(raw * (1 / _RANGE))\n    return bounded * _RANGE"),
     Edit("neural", "harness/materials/neural/material.py",
          "        inside = x * x + y * y < 1\n        if a.output",
          "        inside = dr.fma(x, x, y * y) < 1\n        if a.output"),
@@ -233,7 +233,7 @@ PROBED = (
          "        return dr.select(inside, value * dr.rcp(cos), 0)"),
     Edit("walks", "harness/materials/families/ggx.py",
          "    return 0.5 * t / (w.z * (dr.sqrt(w.z * w.z + t) + w.z))",
-         "    longer = dr.sqrt(w.z * w.z + t) + w.z\n    return t / (2 * w.z * longer)"),
+         "    longer = dr.sqrt(t + w.z * w.z) + w.z\n    return 0.5 * t / (longer * w.z)"),
     Edit("pdf", "harness/core/protocol/disk.py", "    return rgb @ torch.tensor(REC709,",
          "    weights = REC709\n    return rgb @ torch.tensor(weights,"),
 )  # fmt: skip

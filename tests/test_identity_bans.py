@@ -15,6 +15,7 @@ BY_HAND = {
     "harness/materials/families/ggx.py": "the module of a Dr.Jit array",
     "harness/materials/families/hashing.py": "the module of a Dr.Jit array",
     "harness/measures/registry.py": "a measure by name, which is an entry",
+    "harness/mitsuba_runtime/python_plugins.py": "a user's file, whose content is in the key",
 }
 """Counted files that import by a name made at run time, and why that is no hole."""
 

@@ -8,7 +8,9 @@ from pathlib import Path
 
 import pytest
 
+from harness.identity import ours
 from harness.mitsuba_runtime import variant
+from harness.suite import source_parts
 from tests.planted_edits import CHANGING, HARMLESS, PROBED, Edit
 
 variant.use("cpu")
@@ -90,6 +92,12 @@ def test_edits_that_change_no_number_void_no_trial(tree, before):
 def test_an_edit_that_changes_no_number_is_not_noticed(edit, tree, before):
     with edited(tree, edit):
         assert changed(before, tree, list(identity_trials.TRIALS)) == []
+
+
+def test_what_is_named_in_tables_of_entries_exists():
+    tree = ours.digests(cached=False).tree
+    for entry in (*ours.TABLES, *ours.BY_NAME, *source_parts.EVERY_TRIAL, *source_parts.SHARED_RUN):
+        assert tree.entry(entry)
 
 
 def test_there_are_as_many_as_promised():

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from contextlib import ExitStack
+from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -33,7 +35,7 @@ def now() -> dict[str, identity_probes.Told]:
 
 def verdicts(now: dict, later: dict) -> dict[str, str]:
     return {
-        name: difference(now[name][0], probe, now[name][1], units)
+        name: difference(now[name][0], probe, now[name][1], units, trained=name.startswith("fit:"))
         for name, (probe, units) in later.items()
     }
 
@@ -79,23 +81,32 @@ def test_a_probe_does_not_judge_what_it_did_not_run(now):
     assert run and missed, "a branch for GPUs is not run here"
     edited_units = {**units, unit: "0"}
     # A text that is only in the branch: the numbers agree, and tell nothing.
-    there = Probe(
-        probe.arrays, probe.work, {**probe.regions, unit: (run, missed | {"new"})}, probe.tried
-    )
+    there = replace(probe, regions={**probe.regions, unit: (run, missed | {"new"})})
     assert "MLP.columns" in difference(probe, there, units, edited_units)
-    ran = Probe(
-        probe.arrays, probe.work, {**probe.regions, unit: (run | {"new"}, missed)}, probe.tried
-    )
+    ran = replace(probe, regions={**probe.regions, unit: (run | {"new"}, missed)})
     assert difference(probe, ran, units, edited_units) == ""
     # Gone from the branch: then it is the old probe that has not run it.
-    gone = {**probe.regions, unit: (run, frozenset())}
-    less = Probe(probe.arrays, probe.work, gone, probe.tried)
+    less = replace(probe, regions={**probe.regions, unit: (run, frozenset())})
     assert "MLP.columns" in difference(probe, less, units, edited_units)
+
+
+def test_a_number_that_the_probe_does_not_feel_is_no_agreement(now):
+    probe, units = now["walks:material"]
+    unit = next(u for u in probe.figures if not probe.regions.get(u, (0, 1))[1])
+    figures = {**probe.figures, unit: probe.figures[unit] + 1}
+    there = replace(probe, figures=figures)
+    assert "does not feel" in difference(probe, there, units, {**units, unit: "0"})
+    moved = {name: value * (1 + 1e-5) if value.dtype.kind == "f" else value
+             for name, value in probe.arrays.items()}  # fmt: skip
+    felt = replace(there, arrays=moved)
+    assert difference(probe, felt, units, {**units, unit: "0"}) == ""
+    # Training would amplify it.
+    assert difference(probe, felt, units, {**units, unit: "0"}, trained=True)
 
 
 def test_a_time_needs_the_same_work(now):
     probe, units = now["walks:material"]
-    other = Probe(probe.arrays, "other", probe.regions, probe.tried)
+    other = replace(probe, work="other")
     assert difference(probe, other, units, units) == ""
     assert difference(probe, other, units, units, timed=True) == "the work that is timed changed"
 
@@ -116,5 +127,10 @@ def test_no_changed_number_passes_a_probe(edit, tree, tmp_path):
         parts = [text.partition(": ")[2] for text in changed(before, tree, [edit.trial])]
         asked = [f"{edit.trial}:{part}" for part in parts]
         later = identity_probes.probes_by(tree, tmp_path / "later", asked)
-    earlier = identity_probes.probes_by(tree, tmp_path / "earlier", asked)
-    assert any(verdicts(earlier, later).values())
+    assert any(verdicts({name: before_edits(name) for name in asked}, later).values())
+
+
+@cache
+def before_edits(asked: str) -> identity_probes.Told:
+    """The probe ``asked`` for by the tree as it is."""
+    return identity_probes.probe_of(asked)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import re
+import zlib
 
 from harness.identity import scopes
 from harness.identity.piece import Names
@@ -85,7 +86,21 @@ class Nodes(Names):
     def _constant(self, node: ast.Constant) -> None:
         if isinstance(node.value, str) and _NAME.fullmatch(node.value):
             self.piece.strings.add(node.value)
+        elif isinstance(node.value, int | float | complex) and not isinstance(node.value, bool):
+            self._figure(repr(node.value))
         self._put(f"{node.value!r} ")
+
+    def _compare(self, node: ast.Compare) -> None:
+        for operator in node.ops:
+            self._figure(type(operator).__name__)
+        self._generic(node)
+
+    def _unary(self, node: ast.UnaryOp) -> None:
+        self._figure(type(node.op).__name__)
+        self._generic(node)
+
+    def _figure(self, text: str) -> None:
+        self.piece.figures = (self.piece.figures + zlib.crc32(text.encode())) % 2**32
 
     def _chain(self, node: ast.Name | ast.Attribute) -> None:
         attributes: list[str] = []
@@ -250,6 +265,8 @@ _SPECIAL = {
     ast.Attribute: Nodes._chain,
     ast.Constant: Nodes._constant,
     ast.Call: Nodes._call,
+    ast.Compare: Nodes._compare,
+    ast.UnaryOp: Nodes._unary,
     ast.FunctionDef: Nodes._nested_function,
     ast.AsyncFunctionDef: Nodes._nested_function,
     ast.ClassDef: Nodes._nested_class,

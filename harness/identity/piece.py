@@ -21,6 +21,8 @@ class Piece:
     dynamic: bool = False
     """Whether an attribute is reached by a name that the source text does not show."""
     imports: list[str] = field(default_factory=list)
+    figures: int = 0
+    """Sum of a hash of every number and comparison: the same however they are arranged."""
 
 
 @dataclass(frozen=True)

@@ -9,14 +9,14 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from harness.identity.coverage import Coverage, covered
-from harness.identity.small import Arrays, agree
+from harness.identity.small import ROUNDING, TOLERANCE, Arrays, agree, identical
 from harness.identity.tree import Tree, Unit
 from harness.identity.tried import tried
 from harness.identity.work import recorded
@@ -30,18 +30,25 @@ class Probe:
 
     ``arrays`` are its numbers, ``work`` a digest of what the machine was made to do. ``regions``
     are, by function (``module:unit``), the marks of regions that ran and of those that did not;
-    ``tried`` the values and classes that the numbers speak for.
+    ``tried`` the values and classes that the numbers speak for. ``figures`` are, by unit, sums of
+    hashes of the numbers and comparisons in the source text.
     """
 
     arrays: Mapping[str, NDArray[Any]]
     work: str
     regions: Mapping[str, tuple[frozenset[str], frozenset[str]]]
     tried: frozenset[str]
+    figures: Mapping[str, int] = field(default_factory=dict)
 
     def packed(self) -> Arrays:
         """All of it as arrays, to be stored."""
         regions = {u: [" ".join(sorted(m)) for m in both] for u, both in self.regions.items()}
-        notes = {"work": self.work, "regions": regions, "tried": sorted(self.tried)}
+        notes = {
+            "work": self.work,
+            "regions": regions,
+            "tried": sorted(self.tried),
+            "figures": dict(self.figures),
+        }
         text = json.dumps(notes, sort_keys=True)
         return {**self.arrays, _NOTES: np.frombuffer(text.encode(), np.uint8)}
 
@@ -54,7 +61,8 @@ class Probe:
             for unit, (run, missed) in notes["regions"].items()
         }
         rest = {name: value for name, value in arrays.items() if name != _NOTES}
-        return cls(rest, notes["work"], regions, frozenset(notes["tried"]))
+        tried_units = frozenset(notes["tried"])
+        return cls(rest, notes["work"], regions, tried_units, notes.get("figures", {}))
 
 
 @dataclass(frozen=True)
@@ -69,7 +77,8 @@ class Computed:
         """What it says of code that reaches ``units``."""
         inside = {str(unit) for unit in units.values()}
         regions = {u: (ran.run, ran.missed) for u, ran in self.coverage.items() if u in inside}
-        return Probe(self.arrays, self.work, regions, tried(units, self.coverage))
+        figures = {str(unit): unit.figures for unit in units.values() if unit.figures}
+        return Probe(self.arrays, self.work, regions, tried(units, self.coverage), figures)
 
 
 def computed(
@@ -96,12 +105,16 @@ def difference(
     old_units: Mapping[str, str],
     new_units: Mapping[str, str],
     timed: bool = False,
+    trained: bool = False,
 ) -> str:
     """Why the numbers of a trial may have changed with its code; "" if they have not.
 
     ``old_units`` and ``new_units`` are the units of the part with their hashes, as in
     :class:`~harness.identity.digests.SourceDigest`. What is different between them has to have run.
-    A ``timed`` trial needs the same work too.
+    A ``timed`` trial needs the same work too. What is ``trained`` needs numbers that are equal but
+    for rounding, for many steps would amplify more. Where the source text has other numbers or
+    comparisons than before and not a bit of the probe's numbers changed, they may be limits that it
+    does not come near: that is no agreement.
     """
     untried = sorted(
         {
@@ -112,11 +125,27 @@ def difference(
     if untried:
         more = f" and {len(untried) - 1} more" if len(untried) > 1 else ""
         return f"{untried[0]}{more} changed, which the probe does not run there"
-    if not agree(old.arrays, new.arrays):
+    if not agree(old.arrays, new.arrays, ROUNDING if trained else TOLERANCE):
         return "the numbers of the probe changed"
+    other_figures = _figures(old, old_units, new_units) != _figures(new, new_units, old_units)
+    if other_figures and identical(old.arrays, new.arrays):
+        return "a number in the code changed, which the probe does not feel"
     if timed and old.work != new.work:
         return "the work that is timed changed"
     return ""
+
+
+def _figures(probe: Probe, here: Mapping[str, str], there: Mapping[str, str]) -> int:
+    """Sum over the units that are only ``here``."""
+    known_as = _moved(here, there)
+    return (
+        sum(
+            probe.figures.get(unit, 0)
+            for unit, value in here.items()
+            if there.get(known_as.get(unit, "")) != value
+        )
+        % 2**32
+    )
 
 
 def _untried(

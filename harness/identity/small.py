@@ -20,6 +20,8 @@ Arrays = dict[str, NDArray[Any]]
 
 TOLERANCE = 1e-4
 """Largest relative difference of numbers that count as the same."""
+ROUNDING = 1e-6
+"""The same where what follows amplifies it, as training does with its first steps."""
 SEED = 20_260_301
 ROWS = 152
 """Random rows of a probe; those at edges come on top."""
@@ -28,19 +30,33 @@ _RADII = (0.0, 0.5, 0.98, 0.999, 1 - 1e-6)
 """Of incident directions on the disk, from normal to grazing."""
 
 
-def agree(first: Mapping[str, NDArray[Any]], second: Mapping[str, NDArray[Any]]) -> bool:
+def agree(
+    first: Mapping[str, NDArray[Any]],
+    second: Mapping[str, NDArray[Any]],
+    tolerance: float = TOLERANCE,
+) -> bool:
     """Whether two probes gave the same numbers.
 
-    Compared element by element, |a - b| <= TOLERANCE max(|a|, |b|), where the larger of the two is
+    Compared element by element, |a - b| <= tolerance max(|a|, |b|), where the larger of the two is
     at least a millionth of the array's root mean square: rounding may move what is next to nothing.
-    Not-a-number and infinity must be in the same places.
+    For a tolerance below that of numbers in general it is the root mean square itself. Not-a-number
+    and infinity must be in the same places.
     """
     if first.keys() != second.keys():
         return False
-    return all(_same(np.asarray(first[name]), np.asarray(second[name])) for name in first)
+    return all(
+        _same(np.asarray(first[name]), np.asarray(second[name]), tolerance) for name in first
+    )
 
 
-def _same(a: NDArray[Any], b: NDArray[Any]) -> bool:
+def identical(first: Mapping[str, NDArray[Any]], second: Mapping[str, NDArray[Any]]) -> bool:
+    """Whether not one bit differs."""
+    return first.keys() == second.keys() and all(
+        np.asarray(first[name]).tobytes() == np.asarray(second[name]).tobytes() for name in first
+    )
+
+
+def _same(a: NDArray[Any], b: NDArray[Any], tolerance: float) -> bool:
     if a.shape != b.shape or a.dtype.kind != b.dtype.kind:
         return False
     if a.dtype.kind not in "fc":
@@ -53,8 +69,10 @@ def _same(a: NDArray[Any], b: NDArray[Any]) -> bool:
     x, y = a[finite].astype(np.float64), b[finite].astype(np.float64)
     if not x.size:
         return True
-    floor = 1e-6 * math.sqrt(float(np.square(np.maximum(np.abs(x), np.abs(y))).mean()))
-    return bool((np.abs(x - y) <= TOLERANCE * np.maximum(np.maximum(abs(x), abs(y)), floor)).all())
+    size = np.maximum(np.abs(x), np.abs(y))
+    scale = math.sqrt(float(np.square(size).mean()))
+    floor = scale if tolerance < TOLERANCE else 1e-6 * scale
+    return bool((np.abs(x - y) <= tolerance * np.maximum(size, floor)).all())
 
 
 def of_material(material: Any, device: str = "cpu") -> Arrays:

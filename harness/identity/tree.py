@@ -37,6 +37,8 @@ class Unit:
     methods: tuple[str, ...] = ()
     always: tuple[str, ...] = ()
     """Of a class: methods that need no mention."""
+    figures: int = 0
+    """Sum of hashes of the numbers and comparisons in it."""
     attributes: frozenset[str] = frozenset()
     """Of a class: names that its body binds, other than methods."""
 
@@ -120,6 +122,7 @@ class Tree(Modules):
             imports=tuple(self.imported(module, data["imports"])),
             methods=tuple(data.get("methods", ())),
             always=always,
+            figures=data["figures"],
             attributes=frozenset(data.get("attributes", ())),
         )
 

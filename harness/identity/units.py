@@ -34,10 +34,10 @@ def units_of(text: str) -> dict[str, Any]:
 
     Returns ``{"units": {name: unit}, "bindings": {name: reference}, "imports": [module]}``. A unit
     has ``kind``, ``hash``, ``references``, ``strong`` (indices of references to what may run),
-    ``mentions``, ``prefixes``, ``strings``, ``dynamic``, ``imports``, ``lines`` (first and last of
-    each statement) and ``effect``: whether importing the module runs it for more than its name. A
-    class has ``bases``, ``methods``, ``always`` (methods that need no mention to be called) and
-    ``attributes``.
+    ``mentions``, ``prefixes``, ``strings``, ``dynamic``, ``imports``, ``figures`` (sum of hashes of
+    its numbers and comparisons), ``lines`` (first and last of each statement) and ``effect``:
+    whether importing the module runs it for more than its name. A class has ``bases``, ``methods``,
+    ``always`` (methods that need no mention to be called) and ``attributes``.
 
     Raises:
         SyntaxError, ValueError: ``text`` is not valid Python.
@@ -170,6 +170,7 @@ class _Splitter:
             "strings": sorted(piece.strings),
             "dynamic": piece.dynamic,
             "imports": piece.imports,
+            "figures": piece.figures,
             "effect": effect,
             "lines": [_lines(node) for node in nodes],
         }
@@ -187,6 +188,7 @@ def _merged(first: dict[str, Any], second: dict[str, Any]) -> dict[str, Any]:
         "strong": first["strong"] + [shift + index for index in second["strong"]],
         "dynamic": first["dynamic"] or second["dynamic"],
         "effect": first["effect"] or second["effect"],
+        "figures": (first["figures"] + second["figures"]) % 2**32,
     }
     for key in ("mentions", "prefixes", "strings", "imports"):
         joined[key] = sorted({*first[key], *second[key]})

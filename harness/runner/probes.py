@@ -89,8 +89,9 @@ class Probes:
         except Exception:
             return ""  # what cannot be compared is measured again
         units = code.units(self.results, old), short(self.validity.sources(trial)[part].units)
+        trained = trial.measure == FIT and part != MATERIAL
         for kind, timed in ((WORK, True), (NUMBERS, False)):
-            if not difference(before, now, *units, timed=timed):
+            if not difference(before, now, *units, timed=timed, trained=trained):
                 code.note_equivalent(self.results, part, old, new, kind)
                 code.save_probe(self.results, part, new, trial.hash, about[1], now.packed())
                 self._kept[part, new] = about
