@@ -323,3 +323,11 @@ def test_auto_is_part_of_what_determines_a_trial():
     other = scenes.identity({"name": "studio-sphere", "effects": {"auto": 0.5}})
     assert plain != auto != other and "auto" in auto and "auto" not in plain
     assert offer(scenes.make("studio-sphere")).lights == {"environment"}
+
+
+def test_point_lights_alone():
+    """Without light sampling the image is black: needed, and no noise to be lowered."""
+    verdicts, values, _ = measured(hall("point-lights", "emitter-sampling", grey=True), grey())
+    assert verdicts["emitter-sampling"] == "needed" == verdicts["point-lights"]
+    assert values["emitter-sampling.relmse"] == pytest.approx(1, abs=0.1)
+    assert "emitter-sampling.gain" not in values
