@@ -327,3 +327,11 @@ def test_auto_is_part_of_what_determines_a_trial():
     assert plain != auto != other
     assert "auto" in str(auto["effects"]) and "auto" not in str(plain["effects"])
     assert offer(scenes.make("studio-sphere")).lights == {"environment"}
+
+
+def test_point_lights_alone():
+    """Without light sampling the image is black: needed, and no noise to be lowered."""
+    verdicts, values, _ = measured(hall("point-lights", "emitter-sampling", grey=True), grey())
+    assert verdicts["emitter-sampling"] == "needed" == verdicts["point-lights"]
+    assert values["emitter-sampling.relmse"] == pytest.approx(1, abs=0.1)
+    assert "emitter-sampling.gain" not in values

@@ -117,8 +117,6 @@ def test_the_lengths_are_read(mi):
         ({"type": "hair"}, "is of a fibre"),
         ({"type": "null"}, "light passes straight through"),
         ({"type": "roughdielectric"}, "transmits light"),
-        ({"type": "diffuse", "reflectance": 0.0}, "reflects nothing"),
-        ({"type": "diffuse", "reflectance": 1e-30}, "reflects next to nothing"),
     ],
 )  # fmt: skip
 def test_refusals(mi, bsdf, said):
@@ -130,6 +128,18 @@ def test_refusals(mi, bsdf, said):
     with pytest.raises(InputError, match=said) as refused:
         made(bsdf)
     assert "\n" not in str(refused.value)
+
+
+@pytest.mark.parametrize(("level", "said"), [(0.0, "nothing"), (1e-30, "next to nothing")])
+def test_black_materials(mi, level, said):
+    """Cannot be under test; around what is, they may be black, as lamps are."""
+    bsdf = {"type": "diffuse", "reflectance": [level] * 3}
+    spec = {"name": "m", "type": "mitsuba", "bsdf": bsdf}
+    assert materials.make(spec).name == "m"
+    with pytest.raises(InputError, match=f"reflects {said}"):
+        materials.make_tested(spec)
+    narrow = {"type": "roughconductor", "alpha": 0.001}
+    assert materials.make_tested(spec | {"bsdf": narrow}).n_features == 0
 
 
 @pytest.mark.parametrize("scale", [1, 63, 64, 128])

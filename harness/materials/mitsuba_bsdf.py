@@ -55,7 +55,7 @@ class MitsubaMaterial(ColumnMaterial):
 
     Raises:
         InputError: the BSDF cannot be loaded, transmits, has a delta lobe (which no density on
-            the disk represents), reflects nothing, or reads what no condition carries.
+            the disk represents), or reads what no condition carries.
     """
 
     def __init__(

@@ -14,8 +14,6 @@ _CLASSES = {
     "MaskBSDF": "lets light pass straight through where its opacity is below one; expected the"
     " BSDF inside of it alone",
 }
-LEAST = 1e-16
-"""Of the largest value met: squares of less are no numbers of single precision any more."""
 
 
 def check_kind(mi: Any, bsdf: Any, name: str) -> None:
@@ -44,17 +42,10 @@ def check_kind(mi: Any, bsdf: Any, name: str) -> None:
 
 
 def check_seen(seen: Seen, name: str) -> None:
-    """Refuse a BSDF that reflects nothing, or reads what no condition can carry."""
+    """Refuse a BSDF that reads what no condition can carry."""
     where = f"material '{name}'"
     for what, reason in REASONS.items():
         if what in seen.reads:
             raise InputError(
                 f"{where}: {reason}, which a method that is fitted without a scene cannot know"
             )
-    if seen.largest == 0:
-        raise InputError(f"{where}: reflects nothing: its BSDF is zero wherever it was asked")
-    if seen.largest < LEAST:
-        raise InputError(
-            f"{where}: reflects next to nothing: its BSDF is {seen.largest:.0e} at most, and single"
-            " precision has no numbers for squares of that"
-        )

@@ -27,7 +27,7 @@ from typing import Any
 
 from harness.core.protocol.errors import InputError, nearest
 from harness.core.protocol.material import Material
-from harness.materials import kinds
+from harness.materials import kinds, reflects
 from harness.materials.families import registry as families
 from harness.materials.hard import registry as hard
 from harness.materials.kinds.base import Kind, where_of
@@ -132,6 +132,14 @@ def make(spec: Spec, base_dir: Path | str | None = None) -> Material:
 
     module = importlib.import_module(f"{PACKAGE}.{name.replace('-', '_')}")
     return MitsubaMaterial(name, module.bsdf(), what)
+
+
+def make_tested(spec: Spec, base_dir: Path | str | None = None) -> Material:
+    """:func:`make` of a material that is to be under test: one that reflects nothing is refused."""
+    material = make(spec, base_dir)
+    if isinstance(spec, Mapping) and ("file" in spec or "bsdf" in spec):
+        reflects.check(material)
+    return material
 
 
 # --- helpers ---------------------------------------------------------------------------

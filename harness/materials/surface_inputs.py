@@ -40,11 +40,10 @@ Fields = dict[str, NDArray[np.float32]]
 @dataclass(frozen=True)
 class Seen:
     """``reads``: :data:`DERIVATIVES` and keys of :data:`REASONS`; ``both_sides``: whether it
-    reflects from behind as it does from the front; ``largest``: of |f cos| that was met."""
+    reflects from behind as it does from the front."""
 
     reads: frozenset[str]
     both_sides: bool
-    largest: float
 
 
 def look(mi: Any, bsdf: Any) -> Seen:
@@ -65,7 +64,6 @@ def look(mi: Any, bsdf: Any) -> Seen:
     return Seen(
         frozenset(name for k, name in enumerate(_VARIANTS[1:-1], 1) if apart[k].mean() > SHARE),
         bool((behind > 0).any() and apart[-1].mean() <= SHARE),
-        float(plain[np.isfinite(plain)].max(initial=0.0)),
     )
 
 

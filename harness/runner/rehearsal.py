@@ -63,7 +63,7 @@ class _Rehearsal:
             if isinstance(spec, str):
                 self._noted(where, lambda s=spec: materials.validate(s))
                 continue
-            made = self._noted(where, lambda s=spec: materials.make(s))
+            made = self._noted(where, lambda s=spec: materials.make_tested(s))
             if made is not None:
                 found[item.name] = made
         return found

@@ -25,7 +25,7 @@ class Resolved:
         if key not in self._materials:
             from harness.materials import registry as materials
 
-            self._materials[key] = materials.make(trial.material_spec)
+            self._materials[key] = materials.make_tested(trial.material_spec)
         return self._materials[key]
 
     def scene(self, trial: Trial) -> Any | None:

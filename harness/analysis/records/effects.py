@@ -60,9 +60,12 @@ def _compared(raw: Raw, name: str) -> list[Record]:
         )
         # Without it first.
         variances, times = (pair if there else pair[::-1] for pair in pairs)
-        gain = speed_up(*variances, *times)
-        records.append(Record(f"{name}.gain", *gain, "1"))
-        if not matters:
+        # Where all light comes from points, the image without light sampling is black: it has no
+        # noise that could be lowered, and the change of the image alone is the verdict.
+        gain = speed_up(*variances, *times) if all((v > 0).all() for v in variances) else None
+        if gain is not None:
+            records.append(Record(f"{name}.gain", *gain, "1"))
+        if gain is not None and not matters:
             matters, unclear = gain.value > 1, gain.low < 1 < gain.high
     verdict = (NEEDED if matters else NEGLIGIBLE) if there else MISSING if matters else SPARE
     records += [
