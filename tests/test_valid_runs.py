@@ -118,7 +118,12 @@ def test_a_file_that_params_name_counts_by_its_content(tmp_path: Path):
     given.touch()
     assert once() == [], "the time of day is no content"
     given.write_text("1.001")
+    frame = load_results(tmp_path / "out")
+    stale = frame[frame["status"] == "stale"]
+    assert set(stale["method"]) == {f"Filed (file={given})"}
+    assert "scale.json" in stale["reason"].iloc[0]
     assert once() == [f"Filed (file={given})"]
+    assert set(load_results(tmp_path / "out")["status"]) == {"ok"}
     given.write_text("1")
     assert once() == [], "what was measured with it is still there"
 

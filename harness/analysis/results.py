@@ -16,7 +16,7 @@ import pandas as pd
 from harness.analysis.combine import Estimate, over_seeds
 from harness.analysis.process_pooling import joined
 from harness.analysis.renew import renewed
-from harness.analysis.validity import stale
+from harness.analysis.validity import changed_files, stale
 from harness.store.damage import damage
 from harness.store.folder import ResultsFolder
 from harness.store.frame import STALE, frame
@@ -66,7 +66,8 @@ class Results:
             damaged = damage(store, trials).items()
             trials |= {key: _damaged(trials[key], why) for key, why in damaged if key in trials}
             trials = {key: renewed(trial) for key, trial in trials.items()}
-            table = frame(plan["trials"], trials, stale(store, trials), all)
+            old = stale(store, trials) | changed_files(plan)
+            table = frame(plan["trials"], trials, old, all)
         return cls(Path(folder), table, plan, trials)
 
     def restricted(self, allowed: Mapping[str, Collection[str]]) -> Results:

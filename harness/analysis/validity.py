@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
 from harness.analysis.renew import OUTDATED, outdated
+from harness.core.paths import ROOT
 from harness.identity.digests import Digests, Part
+from harness.identity.named_files import digest_of
 from harness.identity.ours import digests
 from harness.identity.verdict import (
     ADAPTER,
@@ -61,6 +64,30 @@ def stale(results: ResultsFolder, trials: Mapping[str, Stored]) -> dict[str, str
         if trial.status in ("ok", "nonfinite") and not verdict.stands:
             found[key] = verdict.sentence
     return found
+
+
+def changed_files(plan: Mapping[str, Any]) -> dict[str, str]:
+    """Why, for each planned trial that names a file which is another now; see harness.suite.named.
+
+    A file that is not there any more says nothing: results may be read where it never was.
+    """
+    found: dict[str, str] = {}
+    for kind, labels in (plan.get("files") or {}).items():
+        changed = {label: _changed(files) for label, files in labels.items()}
+        for row in plan["trials"]:
+            if names := changed.get(row[kind]):
+                reason = f"stale: a file of the {kind} changed ({', '.join(names)})"
+                found.setdefault(row["trial"], reason)
+    return found
+
+
+def _changed(files: Mapping[str, str]) -> list[str]:
+    places = {name: ROOT / name for name in files}  # an absolute name stays as it is
+    return [
+        name
+        for name, kept in files.items()
+        if places[name].is_file() and digest_of([places[name]]).digest != kept
+    ]
 
 
 def _timed(trial: Stored) -> bool:

@@ -29,6 +29,7 @@ from harness.store.folder import ResultsFolder
 from harness.store.lock import locked
 from harness.store.mend import mend
 from harness.store.stored import DAMAGED
+from harness.suite.named import files_of
 from harness.suite.plan import Plan
 from harness.suite.trials import FIT, Trial
 
@@ -119,6 +120,7 @@ def _write_plan(plan: Plan, store: ResultsFolder) -> None:
         "device": plan.device,
         "baseline": plan.baseline,
         "report": plan.report,
+        "files": files_of(plan),
         **{f"{key}s": plan.labels(key) for key in ("material", "method", "scene", "measure")},
     }
     rows = [
