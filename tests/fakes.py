@@ -206,7 +206,7 @@ def install(setattr_: Any = setattr) -> None:
     setattr_(Probes, "keep", lambda self, trials, note: None)
     for registry in (materials, scenes):
         setattr_(registry, "identity", _identity)
-    setattr_(materials, "make", lambda spec: FakeMaterial(_name(spec)))
+    setattr_(materials, "make", lambda spec, base=None: FakeMaterial(_name(spec)))
     setattr_(scenes, "identity_of", lambda spec, scene, base=None: _identity(spec))
     setattr_(scenes, "make", _scene)
     setattr_(source_parts, "_material", _material_entries)
