@@ -35,6 +35,7 @@ WITHOUT_NUMBERS = (
     "harness.mitsuba_runtime.exr",
     "harness.report",
     "harness.runner",
+    "harness.scenes.named_files",
     "harness.scenes.registry",
     "harness.store",
     "harness.suite",
@@ -155,7 +156,9 @@ def test_the_hook_sees_what_runs():
 
     with recorded(ours.digests(cached=False).tree) as ran:
         shapes.grid_faces(2, 2)
-    assert ran == {"harness.geometry.shapes:grid_faces"}
+    assert {u for u in ran if not u.startswith("harness.identity")} == {
+        "harness.geometry.shapes:grid_faces"
+    }
 
 
 def test_code_that_is_not_covered_would_be_told():
