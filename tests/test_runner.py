@@ -109,7 +109,7 @@ def test_what_is_stored_of_a_trial(tmp_path: Path):
     assert {p.name for p in (tmp_path / "out").iterdir()} == {
         "results.sqlite", "files", "suite.yaml", ".lock"
     }  # fmt: skip
-    assert str(tmp_path) not in str(vars(replace(found, folder=None)))
+    assert str(tmp_path) not in str(vars(replace(found, folder=None, reader=None)))
 
 
 def test_a_measure_gets_the_restored_state(tmp_path: Path):
