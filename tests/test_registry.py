@@ -10,7 +10,10 @@ import pytest
 from harness import Method
 from harness.core import registry
 from harness.core.protocol.errors import InputError
+from harness.identity.digests import Part, SourceDigest
+from harness.identity.ours import digests
 from harness.identity.source import covered, essence
+from harness.suite import source_parts
 from tests.fakes import ADAPTERS
 
 
@@ -19,6 +22,14 @@ def adapters(tmp_path: Path) -> Path:
     file = tmp_path / "adapters.py"
     file.write_text(ADAPTERS)
     return file
+
+
+def code_of(name: str) -> SourceDigest:
+    """What an adapter's numbers stand on, as its files are now."""
+    digests.cache_clear()
+    known = digests()
+    part = source_parts.method(known.tree, name)
+    return known.of({"adapter": Part(part.entries, ("sample", "pdf", "fit"))})["adapter"]
 
 
 def test_shipped_methods_are_found_without_import():
@@ -99,17 +110,18 @@ def test_entry_point(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     package = tmp_path / "their_package"
     package.mkdir()
     (package / "__init__.py").write_text("")
-    (package / "samplers.py").write_text(ADAPTERS + "\nfrom their_package import helper\n")
+    used = ADAPTERS.replace("1 / math.pi", "VALUE / math.pi")
+    (package / "samplers.py").write_text("from their_package.helper import VALUE\n" + used)
     (package / "helper.py").write_text("VALUE = 1\n")
     monkeypatch.syspath_prepend(str(tmp_path))
     point = EntryPoint("theirs", "their_package.samplers:Good", registry.GROUP)
     monkeypatch.setattr(registry, "entry_points", lambda group: [point])
     assert "theirs" in registry.names()
     assert registry.make("theirs").name == "theirs"
-    before = registry.source("theirs")
-    assert "VALUE = 1" in before
+    before = code_of("theirs")
+    assert "their_package.helper:VALUE" in before.units
     (package / "helper.py").write_text("VALUE = 22\n")
-    assert registry.source("theirs") != before
+    assert code_of("theirs").digest != before.digest
 
 
 def test_entry_point_to_nowhere(monkeypatch: pytest.MonkeyPatch):
@@ -119,21 +131,20 @@ def test_entry_point_to_nowhere(monkeypatch: pytest.MonkeyPatch):
         registry.make("theirs")
 
 
-def test_source_follows_imports():
-    text = registry.source("improved-baseline")
-    assert "# harness.nets.mlp" in text
-    assert "# harness.core.protocol.disk" in text
-    assert "# harness.measures" not in text
-    assert "# harness.nets" not in registry.source("cosine")
+def test_code_follows_what_is_used_and_not_what_is_imported():
+    modules = {unit.partition(":")[0] for unit in code_of("improved-baseline").units}
+    assert {"harness.nets.mlp", "harness.core.protocol.disk"} <= modules
+    assert not any(module.startswith("harness.measures") for module in modules)
+    assert not any(unit.startswith("harness.nets") for unit in code_of("cosine").units)
 
 
-def test_source_of_a_lone_file_follows_its_neighbours(adapters: Path):
+def test_code_of_a_lone_file_follows_its_neighbours(adapters: Path):
     (adapters.parent / "helper.py").write_text("A = 1\n")
-    adapters.write_text("from helper import A\n" + ADAPTERS)
-    before = registry.source(f"{adapters}:Good")
-    assert str(adapters.parent) not in before
+    adapters.write_text("from helper import A\n" + ADAPTERS.replace("1 / math.pi", "A / math.pi"))
+    before = code_of(f"{adapters}:Good")
+    assert str(adapters.parent) not in str(before.units)
     (adapters.parent / "helper.py").write_text("A = 234\n")
-    assert registry.source(f"{adapters}:Good") != before
+    assert code_of(f"{adapters}:Good").digest != before.digest
 
 
 def test_comments_and_docstrings_do_not_count():

@@ -13,6 +13,7 @@ import yaml
 from harness import Budget
 from harness.core import machine
 from harness.core.protocol.errors import InputError
+from harness.runner.validity import Validity
 from harness.suite import load as loading
 from harness.suite import plan as planning
 from harness.suite.load import load
@@ -188,14 +189,20 @@ def test_what_changes_numbers_changes_hashes(tmp_path: Path, changes: dict[str, 
     assert hashes(plain) != hashes(other)
 
 
-def test_source_of_an_adapter_counts_and_its_comments_do_not(tmp_path: Path):
+def test_code_is_no_part_of_a_key_and_is_a_part_of_what_it_stands_on(tmp_path: Path):
     before = plan_of(tmp_path)
+    parts = [Validity(before, {}).parts(trial) for trial in before.trials]
     file = tmp_path / "adapters.py"
     file.write_text("# a remark\n" + fakes.ADAPTERS)
-    path = tmp_path / "suite.yaml"
-    assert hashes(make_plan(load(path))) == hashes(before)
-    file.write_text(fakes.ADAPTERS + "\nTHING = 1\n")
-    assert not hashes(make_plan(load(path))) & hashes(before)
+    after = make_plan(load(tmp_path / "suite.yaml"))
+    assert hashes(after) == hashes(before)
+    assert [Validity(after, {}).parts(trial) for trial in after.trials] == parts
+    file.write_text(fakes.ADAPTERS.replace("1 / math.pi", "2 / math.pi"))
+    after = make_plan(load(tmp_path / "suite.yaml"))
+    assert hashes(after) == hashes(before)
+    for trial, old in zip(after.trials, parts, strict=True):
+        now = Validity(after, {}).parts(trial)
+        assert {part for part in now if now[part] != old[part]} & {"adapter"}
 
 
 def test_only_times_belong_to_a_machine(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
@@ -216,9 +223,12 @@ def test_times_count_the_baseline_too(tmp_path: Path):
 
 def test_versions_count_without_their_build_tag(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     here = plan_of(tmp_path)
-    assert all("+" not in v for v in here.trials[0].identity["versions"].values())
+    before = Validity(here, {}).parts(here.trials[0])
+    assert "torch" in before["versions"] and "+" not in before["versions"]
     monkeypatch.setattr(machine, "versions", lambda: {"torch": "9"})
-    assert not hashes(here) & hashes(make_plan(load(tmp_path / "suite.yaml")))
+    there = make_plan(load(tmp_path / "suite.yaml"))
+    assert hashes(here) == hashes(there)
+    assert Validity(there, {}).parts(there.trials[0]) == before | {"versions": "torch 9"}
 
 
 def test_streams_differ_by_measure_and_seed_alone():

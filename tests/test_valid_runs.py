@@ -131,7 +131,6 @@ def test_a_file_that_params_name_counts_by_its_content(tmp_path: Path):
 def test_what_is_damaged_is_measured_again_and_nothing_else(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
-    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))  # not to wait for others' timings
     go(tmp_path, measures=["probe", "clock"], scenes=["fake-room"])
     out = tmp_path / "out"
     before = load_results(out)
@@ -267,7 +266,6 @@ def test_status_of_what_failed(tmp_path: Path, capsys: pytest.CaptureFixture[str
 def test_status_of_times_of_another_machine(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ):
-    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))  # not to wait for others' timings
     go(tmp_path, measures=["clock"], scenes=["fake-room"])
     assert status(tmp_path / "out", capsys) == (0, "fakes: 4 trials: 4 valid\n")
     monkeypatch.setattr(machine, "identity", lambda device="cpu": {"cpu": "another", "cores": 1})
