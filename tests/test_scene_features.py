@@ -181,5 +181,5 @@ def test_is_rendered_as_by_mitsuba(folder, name):
     theirs = prepare_native(scene, material, 24, None)
     a, b = own.render(64, 1), theirs.render(64, 2)
     error = math.sqrt((a.variance.mean() + b.variance.mean()) / 64 / a.mean.size)
-    assert own.mask.sum() > 30 and b.mean.mean() > 0
+    assert own.mask.sum() > 5 and b.mean.mean() > 0
     assert a.mean.mean() == pytest.approx(b.mean.mean(), abs=5 * error + 1e-6)
