@@ -78,13 +78,16 @@ def test_unknown_part(refused):
     assert "did you mean 'brushed-metal'?" in text
 
 
-def test_adapter_that_does_not_import(refused, tmp_path: Path):
+def test_adapter_that_does_not_import(refused, capsys, tmp_path: Path):
     path = fakes.suite(tmp_path, materials=["suede"], scenes=None, measures=["pdf"])
     (tmp_path / "adapters.py").write_text("import nothing_of_that_name\n" + fakes.ADAPTERS)
-    for verb in (["validate", str(path)], ["run", str(path), "--out", str(tmp_path / "out")]):
-        text = refused(*verb)
-        assert "methods: 'Good': method" in text
-        assert "ModuleNotFoundError" in text
+    text = refused("run", str(path), "--out", str(tmp_path / "out"))
+    assert "methods: 'Good': method" in text and "ModuleNotFoundError" in text
+    # All mistakes are listed there, a line each.
+    assert main(["validate", str(path)]) == 2
+    lines = capsys.readouterr().err.splitlines()
+    assert len(lines) > 1 and all("ModuleNotFoundError" in line for line in lines)
+    assert "methods: 'Good': method" in lines[0]
 
 
 def test_unreadable_measured_file(refused, tmp_path: Path):

@@ -97,7 +97,7 @@ def test_solids_are_wound_outwards(name):
         check_mesh(sphere_mesh(shape) if isinstance(shape, Sphere) else shape)
     found = registry.identity(name)
     assert len(found["materials"]) > 5 and all(
-        "source" in m or "bsdf" in m for m in found["materials"]
+        m["type"] == "named" or "bsdf" in m for m in found["materials"]
     )
 
 

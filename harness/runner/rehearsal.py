@@ -50,8 +50,9 @@ class _Rehearsal:
         self.mistakes: list[str] = []
 
     def methods(self) -> None:
-        for i, spec in enumerate(self.suite.methods):
-            self._noted(f"methods[{i}]", lambda s=spec: registry.make(s.name, **s.params))
+        for spec in self.suite.methods:
+            where = f"methods: '{spec.label}'"
+            self._noted(where, lambda s=spec: registry.make(s.name, **s.params))
 
     def materials(self) -> dict[str, Material]:
         """Those that the suite describes, by name."""
