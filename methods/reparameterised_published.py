@@ -92,6 +92,9 @@ class ReparameterisedPublished(ModuleMethod, ColumnMethod):
     larger step size, without which short fits end far from their plateau. ``certified=True``
     refuses a state that folds or whose degree is not one.
 
+    Of ``harness check`` it fails what ``fails`` names: its weights, where the map misses more than
+    their noise hides. Their variance need not exist either (the check's tail index says so).
+
     Uses two uniforms. Needs a material that gives the gradient of f.
 
     Raises:
@@ -102,6 +105,8 @@ class ReparameterisedPublished(ModuleMethod, ColumnMethod):
     name = "reparameterised-published"
     uniforms = 2
     exact_pdf = False
+    fails: ClassVar[tuple[str, ...]] = ("weights",)
+    """Properties of ``harness check`` that it is known not to have."""
     learning_rate = 5e-3
     weight_decay = 0.0
 
