@@ -24,7 +24,7 @@ from harness.nets import hemisphere
 from harness.nets.coupling import unit_normal_columns
 from harness.nets.encoding import ConditionEncoder
 from harness.nets.mlp import MLP
-from harness.nets.silu import SiluMLP
+from harness.nets.tangents import slopes_by_last, slopes_by_last_columns
 
 BLEND = 1e-3
 """alpha: the share of the fixed map in what is maximised."""
@@ -54,7 +54,7 @@ class MapAndDensity(nn.Module):
         super().__init__()
         self.encoder = PiEncoder(material.n_address, material.n_features, frequencies)
         inputs = self.encoder.width + 2
-        self.map = SiluMLP([inputs, *[width] * layers, 3])
+        self.map = MLP([inputs, *[width] * layers, 3], "silu")
         self.density = MLP([inputs, width, width, 1])
 
 
@@ -184,7 +184,7 @@ class ReparameterisedPublished(ModuleMethod, ColumnMethod):
 
     def map(self, condition: Tensor, z: Tensor) -> tuple[Tensor, Tensor]:
         """T: directions [B, D, 2] and det J [B, D] of ``condition`` [B, C] and ``z`` [B, D, 2]."""
-        raw, slopes = self.module.map.with_slopes(self.module.encoder(condition), z)
+        raw, slopes = slopes_by_last(self.module.map, self.module.encoder(condition), z)
         return hemisphere.direction_and_determinant(raw, slopes)
 
     def _points(self, pool: Pool, budget: Budget, generator: torch.Generator):
@@ -245,7 +245,8 @@ class ReparameterisedPublished(ModuleMethod, ColumnMethod):
     def sample_weighted_columns(self, c: Columns, u: Columns) -> tuple[Float, Float, Float, Any]:
         """See :meth:`ColumnMethod.sample_weighted_columns`."""
         encoded = self.module.encoder.columns(c)
-        raw, slopes = self.module.map.columns_with_slopes([*encoded, *unit_normal_columns(u)])
+        seen = [*encoded, *unit_normal_columns(u)]
+        raw, slopes = slopes_by_last_columns(self.module.map, seen, 2)
         x, y, det = hemisphere.direction_and_determinant_columns(raw, slopes)
         # 1 / N(z), for |z|^2 = -2 log(1 - u).
         scale = det * (2 * math.pi / (1 - u[0]))
