@@ -32,6 +32,8 @@ EXAMINED = 16
 """Conditions in which a state is examined."""
 TOLERATED = 1e-3
 """Share of p* that a certified map may miss or repeat: the rim, which no z reaches."""
+FURTHEST_LOG = 20.0
+"""Log of the largest pdf that the guess may be, and of the smallest with a minus."""
 _LOG_2PI = math.log(2 * math.pi)
 
 
@@ -88,8 +90,9 @@ class ReparameterisedPublished(ModuleMethod, ColumnMethod):
     importance sampling, and nothing is divided by it.
 
     ``width`` 16 and ``layers`` 3 of the map are the paper's; the density's network has two hidden
-    layers of that width. Four frequencies of the condition. Deviations: single precision, and a
-    larger step size, without which short fits end far from their plateau. ``certified=True``
+    layers of that width. Four frequencies of the condition. Deviations: single precision; a larger
+    step size, without which short fits end far from their plateau; a guess that is kept between
+    e^-20 and e^20, for one that underflows gives a valid sample no density. ``certified=True``
     refuses a state that folds or whose degree is not one.
 
     Of ``harness check`` it fails what ``fails`` names: its weights, where the map misses more than
@@ -208,7 +211,8 @@ class ReparameterisedPublished(ModuleMethod, ColumnMethod):
             wo, det = self.map(condition, z)
             log_pdf = -0.5 * z.square().sum(-1) - _LOG_2PI - det.abs().log()
         encoded = self.module.encoder(condition)[:, None].expand(-1, z.shape[1], -1)
-        guess = self.module.density(torch.cat([encoded, wo], -1))[..., 0]
+        raw = self.module.density(torch.cat([encoded, wo], -1))[..., 0]
+        guess = FURTHEST_LOG * torch.tanh(raw / FURTHEST_LOG)
         # On a crease the density has no logarithm, and nothing to be learned.
         there = log_pdf.isfinite()
         return torch.where(there, guess - torch.where(there, log_pdf, 0), 0).abs().mean()
@@ -262,7 +266,8 @@ class ReparameterisedPublished(ModuleMethod, ColumnMethod):
         return self._pdf(self.module.encoder.columns(c), *wo)
 
     def _pdf(self, encoded: Columns, x: Float, y: Float) -> Float:
-        guess = dr.exp(self.module.density.columns([*encoded, x, y])[0])
+        raw = self.module.density.columns([*encoded, x, y])[0]
+        guess = dr.exp(FURTHEST_LOG * dr.tanh(raw * (1 / FURTHEST_LOG)))
         inside = dr.fma(x, x, y * y) < 1
         # A nan compares with nothing, and has to come out as one.
         return dr.select(inside | dr.isnan(guess), guess, 0)
