@@ -22,7 +22,8 @@ from harness.fitting.reverse import Pool, normal_of_uniforms, stratified_uniform
 from harness.fitting.targets import Targets, cells
 from harness.materials import registry as materials
 from harness.nets import hemisphere, plane, spline
-from harness.nets.silu import SiluMLP
+from harness.nets.mlp import MLP
+from harness.nets.tangents import slopes_by_last, slopes_by_last_columns
 from harness.stats.chisquare import chi_square
 from tests.materials import HalfBlack, Plain, Tilted
 
@@ -251,30 +252,31 @@ def test_plane_and_disk():
 def test_silu_slopes_in_torch_and_over_columns():
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(0)
-        net = SiluMLP([7, 16, 16, 3]).double()
+        net = MLP([7, 16, 16, 3], "silu").double()
     head, tail = torch.randn(9, 5, generator=rng(23)).double(), torch.randn(9, 1, 2).double()
-    out, slopes = net.with_slopes(head, tail)
+    out, slopes = slopes_by_last(net, head, tail)
     whole = torch.cat([head, tail[:, 0]], 1)
     torch.testing.assert_close(out[:, 0], net(whole))
     full = torch.autograd.functional.jacobian(lambda v: net(v).sum(0), whole)
-    torch.testing.assert_close(slopes[:, 0], full.permute(1, 2, 0)[:, 5:])
-    x, (by_0, by_1) = net.columns_with_slopes([llvm.Float(c) for c in whole.float().T.numpy()])
+    torch.testing.assert_close(slopes[:, :, 0], full.permute(2, 1, 0)[5:])
+    columns = [llvm.Float(c) for c in whole.float().T.numpy()]
+    x, (by_0, by_1) = slopes_by_last_columns(net, columns, 2)
     torch.testing.assert_close(tensor_of(*x, rows=9), out[:, 0].float(), rtol=1e-4, atol=1e-5)
-    found = torch.stack([tensor_of(*by_0, rows=9), tensor_of(*by_1, rows=9)], 1)
-    torch.testing.assert_close(found, slopes[:, 0].float(), rtol=1e-4, atol=1e-5)
+    found = torch.stack([tensor_of(*by_0, rows=9), tensor_of(*by_1, rows=9)])
+    torch.testing.assert_close(found, slopes[:, :, 0].float(), rtol=1e-4, atol=1e-5)
 
 
 def test_hemisphere_determinant():
     raw = 2 * torch.randn(50, 3, generator=rng(24), dtype=torch.float64)
-    by = torch.randn(50, 2, 3, generator=rng(25), dtype=torch.float64)
+    by = torch.randn(2, 50, 3, generator=rng(25), dtype=torch.float64)
     wo, det = hemisphere.direction_and_determinant(raw, by)
     torch.testing.assert_close(wo, hemisphere.direction(raw))
     assert inside_disk(wo).all()
     full = torch.autograd.functional.jacobian(lambda v: hemisphere.direction(v).sum(0), raw)
-    expected = torch.linalg.det(full.permute(1, 0, 2) @ by.transpose(1, 2))
+    expected = torch.linalg.det(full.permute(1, 0, 2) @ by.permute(1, 2, 0))
     torch.testing.assert_close(det, expected)
     columns = [llvm.Float(c) for c in raw.float().T.numpy()]
-    slopes = [[llvm.Float(c) for c in by[:, k].float().T.numpy()] for k in (0, 1)]
+    slopes = [[llvm.Float(c) for c in t.float().T.numpy()] for t in by]
     found = tensor_of(*hemisphere.direction_and_determinant_columns(columns, slopes), rows=50)
     torch.testing.assert_close(found[:, :2], wo.float(), rtol=1e-4, atol=1e-5)
     torch.testing.assert_close(found[:, 2], det.float(), rtol=1e-3, atol=1e-4)

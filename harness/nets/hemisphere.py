@@ -30,12 +30,12 @@ def direction(raw: Tensor) -> Tensor:
 
 
 def direction_and_determinant(raw: Tensor, slopes: Tensor) -> tuple[Tensor, Tensor]:
-    """Points [..., 2] and det J [...] from ``raw`` [..., 3] and ``slopes`` [..., 2, 3]."""
+    """Points [..., 2] and det J [...] from ``raw`` [..., 3] and ``slopes`` [2, ..., 3]."""
     a, b, c = raw.unbind(-1)
     s, gate = torch.nn.functional.softplus(c), torch.sigmoid(c)
     scale = (a * a + b * b + s * s).rsqrt()
     found = (a * scale, b * scale, s * scale)
-    by = [_slope(found, scale, t[..., 0], t[..., 1], gate * t[..., 2]) for t in slopes.unbind(-2)]
+    by = [_slope(found, scale, t[..., 0], t[..., 1], gate * t[..., 2]) for t in slopes]
     return torch.stack(found[:2], -1), _determinant(by)
 
 

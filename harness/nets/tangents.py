@@ -1,12 +1,48 @@
-"""A network over columns together with its derivatives, by forward differentiation."""
+"""A network together with its derivatives, by forward differentiation: in torch, over columns."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import drjit as dr
 import drjit.nn
+from torch import Tensor, nn
 
-from harness.core.columns.bridge import Columns
+from harness.core.columns.bridge import Columns, Float
+from harness.core.protocol import counting
+from harness.nets import activations
 from harness.nets.mlp import MLP
+
+
+def slopes_by_last(mlp: MLP, head: Tensor, tail: Tensor) -> tuple[Tensor, Tensor]:
+    """Outputs [B, D, out] and their derivatives by the last T inputs, [T, B, D, out].
+
+    ``head`` [B, E] are the first inputs, the same for all D of ``tail`` [B, D, T]: their share of
+    the first layer is found once. Differentiable, by the weights and by the inputs.
+    """
+    counting.add("network", tail[..., 0].numel())
+    first, *rest = mlp.layers
+    e = head.shape[-1]
+    own = first.weight[:, e:]
+    x = tail @ own.T + nn.functional.linear(head, first.weight[:, :e], first.bias)[:, None]
+    slopes = own.T[:, None, None].expand(-1, *x.shape)
+    for layer in rest:
+        x, slopes = activations.push(mlp.activation, x, slopes)
+        x, slopes = layer(x), slopes @ layer.weight.T
+    return x, slopes
+
+
+def slopes_by_last_columns(mlp: MLP, x: Columns, count: int) -> tuple[Columns, list[Columns]]:
+    """Outputs, and their derivatives by each of the last ``count`` inputs.
+
+    Those of the first layer are columns of its matrix, so one layer is spared.
+    """
+    array = type(x[-1])
+    weight = mlp.layers[0].weight.detach().float().cpu()
+    width = weight.shape[1]
+    slopes = [[array(w) for w in weight[:, width - count + k].tolist()] for k in range(count)]
+    product = _products(mlp, array)
+    return _onward(mlp, product, product(0, x, True), slopes)
 
 
 def with_tangents(mlp: MLP, x: Columns, tangents: list[Columns]) -> tuple[Columns, list[Columns]]:
@@ -15,15 +51,52 @@ def with_tangents(mlp: MLP, x: Columns, tangents: list[Columns]) -> tuple[Column
     Each costs as much as the network itself. Where a hidden neuron is at its kink the
     derivative is that of its negative side.
     """
-    array = type(x[-1])
-    weights, biases = mlp.packed(array)
-    last = len(weights) - 1
-    for i, (w, b) in enumerate(zip(weights, biases, strict=True)):
-        x = list(drjit.nn.matvec(w, drjit.nn.CoopVec(*x), b))
-        tangents = [list(drjit.nn.matvec(w, drjit.nn.CoopVec(*t))) for t in tangents]
-        if i < last:
-            slope = [dr.select(v > 0, array(1), array(mlp.slope)) for v in x]
-            # Not max(v, 0), which would turn nan into 0.
-            x = [dr.maximum(v, mlp.slope * v) for v in x]
-            tangents = [[s * v for s, v in zip(slope, t, strict=True)] for t in tangents]
+    product = _products(mlp, type(x[-1]))
+    return _onward(mlp, product, product(0, x, True), [product(0, t, False) for t in tangents])
+
+
+Product = Callable[[int, Columns, bool], Columns]
+"""``product(layer, x, biased)``: a layer's matrix times ``x``, with its bias or without."""
+
+
+def _onward(
+    mlp: MLP, product: Product, x: Columns, tangents: list[Columns]
+) -> tuple[Columns, list[Columns]]:
+    """From the first layer's outputs and their derivatives to the last one's."""
+    if counting.wanted():
+        counting.add("network", max(dr.width(column) for column in x))
+    for i in range(1, len(mlp.layers)):
+        x, bends = activations.with_slope_columns(mlp.activation, x)
+        tangents = [[b * v for b, v in zip(bends, t, strict=True)] for t in tangents]
+        x = product(i, x, True)
+        tangents = [product(i, t, False) for t in tangents]
     return x, tangents
+
+
+def _products(mlp: MLP, array: type[Float]) -> Product:
+    """The layers' products for arrays of one type."""
+    if dr.backend_v(array) != dr.JitBackend.CUDA:
+        weights, biases = mlp.packed(array)
+
+        def packed(i: int, v: Columns, biased: bool) -> Columns:
+            vector = drjit.nn.CoopVec(*v)
+            if biased:
+                return list(drjit.nn.matvec(weights[i], vector, biases[i]))
+            return list(drjit.nn.matvec(weights[i], vector))
+
+        return packed
+
+    def written_out(i: int, v: Columns, biased: bool) -> Columns:
+        # 32-bit cooperative vectors do not exist on CUDA.
+        layer = mlp.layers[i]
+        w = array(layer.weight.detach().float().reshape(-1).contiguous())
+        b = array(layer.bias.detach().float().contiguous())
+        out = []
+        for row in range(layer.out_features):
+            s = dr.gather(array, b, row) if biased else array(0)
+            for k, value in enumerate(v):
+                s = dr.fma(dr.gather(array, w, row * layer.in_features + k), value, s)
+            out.append(s)
+        return out
+
+    return written_out
