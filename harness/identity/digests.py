@@ -37,6 +37,7 @@ class Digests:
     def __init__(self, tree: Tree):
         self.tree = tree
         self._parts: dict[Hashable, Part] = {}
+        self._between: dict[tuple[int, int], frozenset[str]] = {}
         self._reached: dict[tuple[Part, frozenset[str]], Reached] = {}
         self._digests: dict[tuple[Part, frozenset[str], str], SourceDigest] = {}
 
@@ -78,17 +79,24 @@ class Digests:
             found = {name: self._reach(part, outer[name]) for name, part in parts.items()}
             grown = False
             for name, one in found.items():
-                more = set[str]()
-                for other in found.values():
-                    if other is not one:
-                        more |= one.waiting.keys() & other.mentions
-                        for prefix in other.prefixes:
-                            more.update(w for w in one.waiting if w.startswith(prefix))
+                more = frozenset[str]().union(
+                    *(self._called(one, other) for other in found.values() if other is not one)
+                )
                 if more:
                     outer[name] |= more
                     grown = True
             if not grown:
                 return {name: (outer[name], found[name]) for name in parts}
+
+    def _called(self, one: Reached, other: Reached) -> frozenset[str]:
+        """Methods that ``one`` does not mention itself and ``other`` does."""
+        key = (id(one), id(other))  # both are kept
+        if key not in self._between:
+            found = one.waiting.keys() & other.mentions
+            for prefix in other.prefixes:
+                found |= {name for name in one.waiting if name.startswith(prefix)}
+            self._between[key] = frozenset(found)
+        return self._between[key]
 
     def _reach(self, part: Part, outer: frozenset[str]) -> Reached:
         key = (part, outer)
