@@ -89,7 +89,7 @@ class Reparameterised(FlowMethod):
 
     knobs: ClassVar[tuple[Knob, ...]] = (
         Knob("bins", (3, 5, 10, 20), "bins of each spline"),
-        Knob("width", (8, 16, 24, 32, 64), "neurons of a hidden layer"),
+        Knob("width", (8, 16, 20, 32, 64), "neurons of a hidden layer"),
         Knob("layers", (1, 2, 3), "hidden layers of the second network"),
         Knob("precision", PRECISIONS, "of the weights: bytes on disk, no time"),
         Knob("budget.steps", (100, 300, 1000, 3000), "optimiser steps"),
@@ -97,7 +97,7 @@ class Reparameterised(FlowMethod):
 
     def __init__(
         self,
-        width: int = 24,
+        width: int = 20,
         layers: int = 2,
         bins: int = 5,
         uniform: float = 0.01,

@@ -97,7 +97,7 @@ def test_the_degree_is_one(seed):
 
 
 def test_samples_are_the_map_of_their_uniforms():
-    method = with_weights(3, 0.3)
+    method = with_weights(3, 0.15)
     condition, u = TILTED.conditions(4000, rng(4)), torch.rand(4000, 3, generator=rng(5))
     u[:, 2] = 1 - 2.0**-24
     with torch.no_grad():
