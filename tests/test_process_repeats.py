@@ -250,7 +250,8 @@ class Late(Dies):
 '''
 
 
-def test_every_repeat_is_a_process(tmp_path: Path) -> None:
+def test_every_repeat_is_a_process(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))  # not to wait for others' timings
     (tmp_path / "adapters.py").write_text(ADAPTER)
     suite = {
         "name": "repeated",

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import asdict, replace
+from weakref import WeakKeyDictionary
 
 from harness.analysis.records import registry
 from harness.core.protocol.errors import InputError
 from harness.core.record import Raw
-from harness.identity.digests import Part
+from harness.identity.digests import Digests, Part
 from harness.identity.ours import digests
 from harness.identity.verdict import Verdict
 from harness.store.folder import ResultsFolder
@@ -24,12 +25,24 @@ OUTDATED = Verdict(
 
 def analysis_digest(measure: str) -> str:
     """Of the code that makes the records of a measure; "" for one that gives them itself."""
+    known = digests()
+    found = _DIGESTS.setdefault(known, {})
+    if measure not in found:
+        found[measure] = _analysis_digest(known, measure)
+    return found[measure]
+
+
+def _analysis_digest(known: Digests, measure: str) -> str:
     file = registry.file_of(measure)
     if file is None:
         return ""
     entry = f"harness.analysis.records.{file.stem}:numbers"
     parts = {"analysis": Part((entry, "harness.analysis.process_pooling:pooled"))}
-    return digests().of(parts)["analysis"].digest
+    return known.of(parts)["analysis"].digest
+
+
+_DIGESTS: WeakKeyDictionary[Digests, dict[str, str]] = WeakKeyDictionary()
+"""By measure, of each reading of the source tree: it is asked of every stored trial."""
 
 
 def renew(results: ResultsFolder) -> int:

@@ -119,6 +119,7 @@ class _Expansion:
         self.suite, self.profile, self.profile_name = suite, profile, profile_name
         self.device = device
         self.settings = self._settings()
+        self.kinds = {name: measures.load(name) for name in self.settings}
         _each("methods", suite.methods, lambda m: registry.find(m.name))
         self.materials = _each("materials", suite.materials, lambda m: materials.identity(_spec(m)))
         self.resolved = Resolved()
@@ -173,7 +174,7 @@ class _Expansion:
             if name == FIT:
                 continue
             one = replace(blank, fit=fit.hash)
-            if not measures.load(name).needs_scene:
+            if not self.kinds[name].needs_scene:
                 found.append(self._trial(one, name))
                 continue
             for scene in _chosen(self.suite.scenes, self.profile.scenes):
@@ -184,7 +185,7 @@ class _Expansion:
 
     def _trial(self, blank: Trial, name: str) -> Trial:
         """``blank`` with the measure ``name`` filled in, and its hash."""
-        measure, settings = measures.load(name), self.settings[name]
+        measure, settings = self.kinds[name], self.settings[name]
         identity = {
             **blank.identity,
             "measure": {"name": name, "settings": settings},
