@@ -51,6 +51,7 @@ class Worker:
         self.validity, self.refit, self.doubtful = validity, refit, doubtful
         self.jobs = Jobs(plan.baseline, stored, progress.note, plan.resolved)
         self.probes = Probes(plan, results, validity, self.jobs)
+        validity.probed = self.probes.same
         self._measured: list[Trial] = []
 
     def unit(self, unit: Unit) -> None:
