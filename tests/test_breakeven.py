@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -214,7 +215,7 @@ def test_a_disturbed_timing_is_marked_and_does_not_win(results: Results) -> None
     mark["reason"] = "disturbed: interval wider than 10%: render 31% after 24 rounds"
     import pandas as pd
 
-    marked = Results(results.folder, pd.concat([frame, mark]), results.plan)
+    marked = replace(results, frame=pd.concat([frame, mark]))
     for name in ("table2", "timing", "breakeven"):
         table = table_of(marked, name)
         warned = [c.warning for s in table.sections for r in s.rows for c in r.cells if c.warning]

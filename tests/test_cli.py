@@ -70,7 +70,9 @@ def test_refused_in_one_line(refused, arguments: list[str], message: str):
 
 
 def test_report_of_no_results(refused, tmp_path: Path):
-    assert refused("report", str(tmp_path)).endswith("holds no results (there is no plan.json)")
+    assert refused("report", str(tmp_path)).endswith(
+        "holds no results (there is no results.sqlite)"
+    )
 
 
 def test_unknown_part(refused):

@@ -107,7 +107,7 @@ def test_a_missing_library_is_one_clear_line():
 def test_the_variant_is_set_once_and_kept():
     code = """
 from harness import InputError
-from harness.rendering.variant import use
+from harness.mitsuba_runtime.variant import use
 assert use("cpu").variant() == "llvm_ad_rgb"
 assert use("cpu").variant() == "llvm_ad_rgb"
 try:

@@ -19,9 +19,10 @@ from harness.core.protocol.material import Material
 from harness.core.protocol.method import Budget
 from harness.fitting.targets import Targets
 from harness.materials import registry
+from harness.materials.hard.base import DiskMaterial
 from harness.materials.hard.flat import BrightPixel
 from harness.materials.hard.holes import MeasuredHoles
-from harness.materials.hard.registry import MATERIALS, DiskMaterial
+from harness.materials.hard.registry import MATERIALS
 
 NAMES = registry.hard_names()
 SYNTHETIC = [n for n in NAMES if not n.startswith(("specular", "anisotropic"))]

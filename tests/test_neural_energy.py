@@ -131,8 +131,8 @@ def test_what_can_be_taught_energies():
 
 @pytest.fixture
 def glow(monkeypatch):
-    monkeypatch.setattr(recipe.microgeometry, "load", lambda _: Glow())
-    monkeypatch.setattr(recipe.microgeometry, "find", lambda name: name)
+    monkeypatch.setattr(recipe.descriptions, "load", lambda _: Glow())
+    monkeypatch.setattr(recipe.descriptions, "find", lambda name: name)
     monkeypatch.setattr(recipe, "read", lambda _: None)
     small = replace(PROFILE, steps=20, final_steps=5)
     monkeypatch.setitem(profiles.PROFILES, "plain", small)

@@ -163,8 +163,8 @@ def test_a_loss_that_is_not_finite_ends_it():
 
 @pytest.fixture
 def wavy(monkeypatch):
-    monkeypatch.setattr(recipe.microgeometry, "load", lambda _: Wavy())
-    monkeypatch.setattr(recipe.microgeometry, "find", lambda name: name)
+    monkeypatch.setattr(recipe.descriptions, "load", lambda _: Wavy())
+    monkeypatch.setattr(recipe.descriptions, "find", lambda name: name)
     monkeypatch.setattr(recipe, "read", lambda _: None)
     monkeypatch.setitem(profiles.PROFILES, "tiny", replace(TINY, steps=20, final_steps=5))
     # The measurement's own sizes are for the shipped ones.
@@ -202,7 +202,7 @@ def test_measuring_again_changes_the_record_alone(tmp_path, wavy):
 def test_no_material_is_measured_by_another_surface(tmp_path, wavy, monkeypatch):
     out = tmp_path / "m.safetensors"
     recipe.train("wavy", out, "tiny")
-    monkeypatch.setattr(recipe.microgeometry, "load", lambda _: Wavy(deep=0.5))
+    monkeypatch.setattr(recipe.descriptions, "load", lambda _: Wavy(deep=0.5))
     with pytest.raises(InputError, match="another 'wavy'"):
         recipe.measure(out)
     storage.save(out, storage.load(out), {})

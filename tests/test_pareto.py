@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from importlib import import_module
 from pathlib import Path
@@ -23,6 +22,7 @@ from harness.analysis.results import Results
 from harness.report.figures.canvas import Canvas
 from harness.report.figures.knob_path import inserted
 from harness.report.figures.labels import Label, place
+from harness.store.folder import ResultsFolder
 from tests import report_results
 from tests.report_results import Made
 
@@ -147,12 +147,14 @@ def swept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Results:
         measures=("fit", "pdf", "equal-time"),
     )
     folder = made.write(tmp_path / "results")
-    plan = json.loads((folder / "plan.json").read_text())
+    with ResultsFolder(folder) as store:
+        plan = store.plan()
     for row in plan["trials"]:
         _, params, budget = SWEPT.get(row["method"], (None, {}, {}))
         budget = {"steps": 300, **budget}
         row["identity"]["method"] |= {"params": params, "budget": budget}
-    (folder / "plan.json").write_text(json.dumps(plan))
+    with ResultsFolder(folder, write=True) as store:
+        store.write_plan({k: v for k, v in plan.items() if k != "trials"}, plan["trials"])
     return Results.load(folder)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import warnings
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -102,11 +103,12 @@ def test_figures_say_why_they_are_not_there(tmp_path: Path):
 def test_convergence_below_the_noise_or_without_repeats(failing: Path, tmp_path: Path):
     results = Results.load(failing)
     hopeless, single = results.trials("convergence", MATERIALS[0])[:2]
-    results.arrays(hopeless)["mse"][:] = -1.0
-    for name in ("mse_low", "mse_high"):
-        results.arrays(single)[name][:] = math.nan
+    results.stored(hopeless).arrays["errors"][:] = -1.0
+    for name in ("errors", "all_seconds"):
+        arrays = results.stored(single).arrays
+        arrays[name] = arrays[name][:, :1]
     for trial in results.trials("convergence", MATERIALS[1]):
-        results.arrays(trial)["mse"][:] = -1.0
+        results.stored(trial).arrays["errors"][:] = -1.0
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         drawn = part("figures", "convergence")(results, Canvas(tmp_path))
@@ -118,7 +120,7 @@ def test_infinite_divergence_is_named_not_drawn(failing: Path, tmp_path: Path):
     frame = results.frame.copy()
     rows = (frame["metric"] == "chi2") & (frame["method"] == "cosine")
     frame.loc[rows, ["value", "ci_low", "ci_high"]] = math.inf
-    changed = Results(failing, frame, results.plan)
+    changed = replace(results, frame=frame)
     with styled():
         drawn = part("figures", "tradeoff")(changed, Canvas(tmp_path))
     assert drawn[0].png.stat().st_size > 10_000

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Callable, Collection, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, TypeVar
@@ -54,7 +54,7 @@ class Results:
     folder: Path
     frame: pd.DataFrame
     plan: dict[str, Any]
-    found: dict[str, Stored]
+    found: dict[str, Stored] = field(default_factory=dict)
     whole: pd.DataFrame | None = None
     """Where ``frame`` is a part that is to be shown: all rows."""
 

@@ -121,7 +121,8 @@ def measure(tree: Tree, kind: type) -> Part:
 
 
 def _place(thing: Any) -> str:
-    return f"{thing.__module__}:{thing.__qualname__}"
+    # A function made by another stands for what that one says.
+    return f"{thing.__module__}:{thing.__qualname__.partition('.<locals>')[0]}"
 
 
 def _material(spec: Any) -> list[str]:
