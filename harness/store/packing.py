@@ -16,8 +16,8 @@ _LEVEL = 9
 
 
 def digest(data: bytes) -> str:
-    """First 32 hex digits of the SHA-256 of ``data``."""
-    return hashlib.sha256(data).hexdigest()[:32]
+    """First 16 hex digits of the SHA-256 of ``data``."""
+    return hashlib.sha256(data).hexdigest()[:16]
 
 
 def json_bytes(data: Any) -> bytes:

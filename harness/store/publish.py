@@ -18,10 +18,14 @@ from harness.store.lock import locked
 from harness.store.stored import STATE
 
 
+_PICTURES = ("target", "pdf")
+"""Arrays of the measure ``slices`` that are drawn and that no number is made of."""
+
+
 def publish(source: Path, target: Path, pictured: Collection[str] = ()) -> int:
     """Copy the planned trials of ``source`` to ``target``; how many there are.
 
-    Images are those of the ``pictured`` materials.
+    Images, and the densities that are drawn, are those of the ``pictured`` materials.
 
     What ``target`` held is replaced once the copy is whole.
 
@@ -43,7 +47,10 @@ def publish(source: Path, target: Path, pictured: Collection[str] = ()) -> int:
                 place = files.place(fresh, name, digest)
                 place.parent.mkdir(exist_ok=True)
                 shutil.copyfile(files.checked(source, name, digest), place)
-            new.save(replace(trial, folder=fresh), old.arrays(trial.hash), kept)
+            arrays = old.arrays(trial.hash)
+            if trial.labels["measure"] == "slices" and not shown:
+                arrays = {n: a for n, a in arrays.items() if n not in _PICTURES}
+            new.save(replace(trial, folder=fresh), arrays, kept)
         digests = {digest for trial in wanted for digest in trial.parts.values()}
         code.note_units(new, {d: units for d in digests if (units := code.units(old, d))})
         for change in code.equivalents(old):

@@ -25,9 +25,13 @@ _PANEL = 1.15
 
 def slices(results: Results, canvas: Canvas) -> list[Drawn] | str:
     """Rows conditions of the materials, columns the target and then the methods."""
-    materials = [m for m in results.materials if results.trials(MEASURE, m)]
-    if not materials:
+    ended = [m for m in results.materials if results.trials(MEASURE, m)]
+    if not ended:
         return f"no trial of the measure {MEASURE} ended well"
+    # Published results keep the densities of some materials alone.
+    materials = [m for m in ended if "target" in results.arrays(results.trials(MEASURE, m)[0])]
+    if not materials:
+        return f"no trial of the measure {MEASURE} keeps its densities"
     each = max(1, _ROWS // len(materials))
     rows: list[tuple[str, int]] = []
     for material in materials:
