@@ -17,7 +17,6 @@ from harness.store.folder import ResultsFolder
 from harness.store.lock import locked
 from harness.store.stored import STATE
 
-
 _PICTURES = ("target", "pdf")
 """Arrays of the measure ``slices`` that are drawn and that no number is made of."""
 
