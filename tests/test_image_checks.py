@@ -127,7 +127,13 @@ SAMPLERS = [name for name in registry.names() if registry.load(name).exact_pdf]
 published importance baking is biased and says so."""
 
 
-@pytest.mark.parametrize("name", SAMPLERS)
+DEAR = ("importance-baked", "flow-matching")
+"""Samplers whose kernels or fits take long."""
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(n, marks=pytest.mark.slow if n in DEAR else ()) for n in SAMPLERS]
+)
 def test_white_furnace(name):
     """All methods: a surface that reflects all light is as bright as the light."""
     material = white()

@@ -166,6 +166,7 @@ def test_an_adapter_twice_as_slow_reads_two(monkeypatch, seed):
     assert len(slow.arrays["sample_seconds"]) == 11
 
 
+@pytest.mark.slow
 def test_short_calls_are_repeated_until_a_round_is_long(monkeypatch):
     """Fifty of a millisecond; what a row costs does not depend on it, and its noise does."""
     widths = []
