@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from rich.console import Console
@@ -36,7 +36,10 @@ class Report:
 
     def of_part(self, allowed: Mapping[str, Collection[str]]) -> Report:
         """The report of a part of the results: labels allowed by column, others as they are."""
-        return Report.of(self.results.restricted(allowed)) if allowed else self
+        if not allowed:
+            return self
+        # What the part does not have was not asked for, and is not said to be left out.
+        return replace(Report.of(self.results.restricted(allowed)), skipped=[])
 
     def write(self, notify: Callable[[str], None] = lambda message: None) -> list[Path]:
         """All of ``report/``, the page first, and figures too.
