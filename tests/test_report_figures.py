@@ -9,13 +9,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from matplotlib.lines import Line2D
 
 from harness.analysis.combine import Estimate
 from harness.analysis.quantities import nanoseconds_per_sample
 from harness.analysis.results import MethodColumn, Results
-from harness.report.figures.canvas import Canvas, grid_shape, styled
+from harness.report.figures.canvas import Canvas, styled
 from harness.report.figures.images import _worst_square
 from harness.report.figures.palette import looks
+from harness.report.figures.panels import Labels, panels
 from harness.report.figures.rendered import exposure, reference, srgb
 from harness.report.figures.tradeoff import Point, _front
 from harness.report.parts import part, parts
@@ -81,8 +83,20 @@ def test_images_of_another_size_are_no_reference(tmp_path: Path):
     assert [each.png.name for each in drawn][:1] == [f"images-studio-sphere-{MATERIALS[0]}.png"]
 
 
-def test_grids_are_full():
-    assert [grid_shape(n) for n in (1, 4, 5, 12, 13)] == [(1, 1), (1, 4), (2, 3), (3, 4), (4, 4)]
+def rows_of(count: int) -> list[int]:
+    """How many of ``count`` panels stand in each row, from above."""
+    stacks = [[Labels("x", "y", str(n))] for n in range(count)]
+    figure, grid = panels(stacks, (1.0, 0.5), [Line2D([], [], label="a")])
+    boxes = [axes.get_position() for (axes,) in grid]
+    inches = np.array([box.size for box in boxes]) * figure.get_size_inches()
+    np.testing.assert_allclose(inches, np.full((count, 2), [1.0, 0.5]))
+    tops = [round(box.y1, 6) for box in boxes]
+    return [tops.count(top) for top in sorted(set(tops), reverse=True)]
+
+
+def test_rows_of_panels_are_as_few_and_as_full_as_can_be():
+    assert [rows_of(n) for n in (1, 4, 5, 12)] == [[1], [4], [3, 2], [4, 4, 4]]
+    assert rows_of(13) == [4, 4, 4, 1]
 
 
 def test_time_per_sample_carries_its_interval(failing: Path):

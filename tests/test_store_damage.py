@@ -53,33 +53,18 @@ def a_body(folder: Path) -> None:
 
 
 def an_array(folder: Path) -> None:
-    ((digest,),) = sql(
-        folder, "SELECT digest FROM array WHERE trial = ? AND name = 'numbers'", FIRST
-    )
-    flip(folder, "blob", "digest", digest)
+    flip(folder, "blob", "digest", body_of(folder, FIRST)["arrays"]["numbers"])
 
 
 def a_lost_array(folder: Path) -> None:
-    sql(folder, "DELETE FROM array WHERE trial = ? AND name = 'numbers'", FIRST)
-
-
-def a_lost_blob(folder: Path) -> None:
-    sql(
-        folder,
-        "DELETE FROM blob WHERE digest IN"
-        " (SELECT digest FROM array WHERE trial = ? AND name = 'numbers')",
-        FIRST,
-    )
+    sql(folder, "DELETE FROM blob WHERE digest = ?", body_of(folder, FIRST)["arrays"]["numbers"])
 
 
 def another_array(folder: Path) -> None:
     """It is whole, and another trial's."""
-    sql(
-        folder,
-        "UPDATE array SET digest = (SELECT digest FROM array WHERE trial = ? AND name = 'numbers')"
-        " WHERE trial = ? AND name = 'numbers'",
-        *(SECOND, FIRST),
-    )
+    own, others = (body_of(folder, key)["arrays"]["numbers"] for key in (FIRST, SECOND))
+    ((body,),) = sql(folder, "SELECT body FROM blob WHERE digest = ?", others)
+    sql(folder, "UPDATE blob SET body = ? WHERE digest = ?", body, own)
 
 
 def a_text(folder: Path) -> None:
@@ -110,7 +95,7 @@ def a_status(folder: Path) -> None:
 
 
 DAMAGES = [
-    a_body, an_array, a_lost_array, a_lost_blob, another_array, a_text, a_file, a_lost_file,
+    a_body, an_array, a_lost_array, another_array, a_text, a_file, a_lost_file,
     a_value, a_status,
 ]  # fmt: skip
 
@@ -160,20 +145,22 @@ def test_two_bodies_that_changed_places_are_noticed(tmp_path: Path):
 
 def test_an_array_that_trials_share_takes_all_of_them(tmp_path: Path):
     folder = stores.make(tmp_path / "out")
-    ((digest,),) = sql(folder, "SELECT DISTINCT digest FROM array WHERE name = 'all'")
-    flip(folder, "blob", "digest", digest)
+    flip(folder, "blob", "digest", body_of(folder, FIRST)["arrays"]["all"])
     assert list(load_results(folder)["status"]) == ["error"] * 3
 
 
 def test_a_damaged_plan_is_refused_and_written_again(tmp_path: Path):
     folder = stores.make(tmp_path / "out")
-    sql(folder, "UPDATE plan SET method = 'another' WHERE position = 1")
+    ((plan,),) = sql(folder, "SELECT value FROM meta WHERE name = 'plan'")
+    other = zlib.compress(zlib.decompress(plan).replace(b"method-1", b"another"))
+    sql(folder, "UPDATE meta SET value = ? WHERE name = 'plan'", other)
     with pytest.raises(InputError, match="the stored plan is damaged.*harness run writes it again"):
         load_results(folder)
     stores.make(folder)
     assert list(load_results(folder)["method"]) == ["method-0", "method-1", "method-2"]
-    ((text,),) = sql(folder, "SELECT identity FROM plan WHERE position = 0")
-    flip(folder, "text", "digest", json.loads(text)["number"])
+    ((plan,),) = sql(folder, "SELECT value FROM meta WHERE name = 'plan'")
+    row = json.loads(zlib.decompress(plan))["trials"][0]
+    flip(folder, "text", "digest", row["identity"]["number"])
     with pytest.raises(InputError, match="the stored plan is damaged: .*; harness run writes"):
         load_results(folder)
     stores.make(folder)

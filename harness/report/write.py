@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from rich.console import Console
 
@@ -16,6 +17,9 @@ from harness.report.formats.latex import latex
 from harness.report.formats.markdown import markdown
 from harness.report.parts import parts
 from harness.report.table import Table
+
+if TYPE_CHECKING:
+    from harness.report.figures.canvas import Drawn
 
 _LIST = "files.txt"
 _FORMATS = {"md": markdown, "csv": csv, "tex": latex}
@@ -48,10 +52,9 @@ class Report:
         left out and why.
         """
         # Figures take matplotlib, which printing tables does not.
-        from harness.report.figures.canvas import Canvas
+        from harness.report.drawing import draw
         from harness.report.page import Page, page
 
-        figures = parts("figures")
         skipped = list(self.skipped)
         report = self.results.folder / "report"
         report.mkdir(exist_ok=True)
@@ -60,15 +63,16 @@ class Report:
             for end, form in _FORMATS.items():
                 written.append(report / f"{table.name}.{end}")
                 written[-1].write_text(form(table), encoding="utf-8")
-        canvas = Canvas(report / "figures")
-        for name in _names(self.results, "figures", figures):
-            notify(f"figure {name}")
-            drawn = figures[name].load()(self.results, canvas)
-            if isinstance(drawn, str) and self.results.wanted("figures") is not None:
-                skipped.append(f"figure {name}: {drawn}")
-        written += [path for figure in canvas.drawn for path in figure.files]
+        names = _names(self.results, "figures", parts("figures"))
+        drawn: list[Drawn] = []
+        for name, found in draw(self.results, names, report / "figures", notify).items():
+            if not isinstance(found, str):
+                drawn += found
+            elif self.results.wanted("figures") is not None:
+                skipped.append(f"figure {name}: {found}")
+        written += [path for figure in drawn for path in figure.files]
         index = report / "index.html"
-        shown = Page(self.results, self.tables, canvas.drawn, skipped)
+        shown = Page(self.results, self.tables, drawn, skipped)
         index.write_text(page(shown), encoding="utf-8")
         written.insert(0, index)
         for message in skipped:

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 _SHARED = ("trial", "environment", "documents", "entries")
 """Entries of a trial whose values are kept once for all trials that share them."""
-_APART = ("hash", "folder", "reader", "files", "arrays", "images")
+_APART = ("hash", "folder", "reader", "files", "arrays", "kept_arrays", "images")
 
 
 class Texts:
@@ -77,23 +77,20 @@ def stored_of(
     texts: Texts,
     key: str,
     checksum: str,
-    packed: bytes,
-    arrays: Mapping[str, str],
+    body: bytes,
 ) -> Stored:
     """The trial of a body; of status ``damaged`` if that is not what was stored.
 
-    ``arrays`` are the digests of its arrays as the database lists them; ``reader``, a function of
-    the folder, reads them when they are asked for.
+    ``body`` is unpacked, or empty if it could not be. ``reader``, a function of the folder, reads
+    arrays when they are asked for.
     """
     try:
-        body = unpack(packed)
         if digest(body) != checksum:
             raise ValueError("it does not match its checksum")
         data = parsed(body)
         if data.pop("trial_key") != key:
             raise ValueError("it is another trial's")
-        if data.pop("arrays") != arrays:
-            raise ValueError("its arrays are not those that were stored")
+        data["kept_arrays"] = data.pop("arrays")
         for name in _SHARED:
             if name in data:
                 data[name] = texts.get(data[name])

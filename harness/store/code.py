@@ -60,8 +60,9 @@ def save_probe(
     It was made with ``trial`` (a key) and the fitted ``state`` (a digest).
     """
     with results.writing():
-        results.run("INSERT OR REPLACE INTO probe VALUES (?, ?, ?, ?)", part, digest, trial, state)
-        results.keep_arrays(_key(part, digest), arrays)
+        kept = json_bytes(results.keep_arrays(arrays)).decode()
+        row = (part, digest, trial, state, kept)
+        results.run("INSERT OR REPLACE INTO probe VALUES (?, ?, ?, ?, ?)", *row)
 
 
 def probes(results: ResultsFolder) -> dict[tuple[str, str], tuple[str, str]]:
@@ -72,10 +73,13 @@ def probes(results: ResultsFolder) -> dict[tuple[str, str], tuple[str, str]]:
 
 
 def probe(results: ResultsFolder, part: str, digest: str) -> dict[str, np.ndarray]:
-    """The arrays of a probe."""
-    return results.arrays(_key(part, digest))
+    """The arrays of a probe.
 
-
-def _key(part: str, digest: str) -> str:
-    """What stands for a trial where a probe's arrays are kept."""
-    return f"probe {part} {digest}"
+    Raises:
+        InputError: one does not match its checksum.
+    """
+    with explained(results.folder):
+        row = results.run(
+            "SELECT arrays FROM probe WHERE part = ? AND digest = ?", part, digest
+        ).fetchone()
+    return results.arrays_named(f"probe {part} {digest}", json.loads(row[0]) if row else {})

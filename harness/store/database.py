@@ -22,32 +22,24 @@ OLD_PLAN = "plan.json"
 """Mark of the format before this one, a folder a trial."""
 MARK = 0x42534446
 """SQLite's ``application_id`` of a file of ours."""
-FORMAT = 1
+FORMAT = 2
 """SQLite's ``user_version``; a change of the tables makes it grow."""
 _PATIENCE = 10.0
 """Seconds that a reader waits for a writer's transaction, and the other way round."""
 
 # Rows without a rowid are compact where they are short and wasteful where they hold a body.
 _TABLES = """
-CREATE TABLE meta (name TEXT PRIMARY KEY, value TEXT NOT NULL) WITHOUT ROWID;
+CREATE TABLE meta (name TEXT PRIMARY KEY, value BLOB NOT NULL);
 CREATE TABLE text (digest TEXT PRIMARY KEY, body BLOB NOT NULL);
-CREATE TABLE plan (
-    position INTEGER PRIMARY KEY, trial TEXT NOT NULL, suite TEXT NOT NULL,
-    material TEXT NOT NULL, method TEXT NOT NULL, scene TEXT NOT NULL, measure TEXT NOT NULL,
-    seed INTEGER NOT NULL, fit TEXT NOT NULL, identity TEXT NOT NULL);
-CREATE INDEX plan_trial ON plan (trial);
 CREATE TABLE trial (
     trial TEXT PRIMARY KEY, checksum TEXT NOT NULL, body BLOB NOT NULL);
-CREATE TABLE array (
-    trial TEXT NOT NULL, name TEXT NOT NULL, digest TEXT NOT NULL,
-    PRIMARY KEY (trial, name)) WITHOUT ROWID;
 CREATE TABLE blob (digest TEXT PRIMARY KEY, body BLOB NOT NULL);
 CREATE TABLE damaged (
     trial TEXT NOT NULL, noticed TEXT NOT NULL, reason TEXT NOT NULL, body BLOB);
 CREATE TABLE units (digest TEXT PRIMARY KEY, body BLOB NOT NULL);
 CREATE TABLE probe (
     part TEXT NOT NULL, digest TEXT NOT NULL, trial TEXT NOT NULL, state TEXT NOT NULL,
-    PRIMARY KEY (part, digest)) WITHOUT ROWID;
+    arrays TEXT NOT NULL, PRIMARY KEY (part, digest)) WITHOUT ROWID;
 CREATE TABLE equivalent (
     part TEXT NOT NULL, old TEXT NOT NULL, new TEXT NOT NULL, shared TEXT NOT NULL,
     PRIMARY KEY (part, old, new, shared)) WITHOUT ROWID;

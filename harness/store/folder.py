@@ -10,7 +10,6 @@ A trial appears whole or not at all. All that is read is compared with its check
 
 from __future__ import annotations
 
-import json
 import sqlite3
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
@@ -21,10 +20,11 @@ from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
 from harness.core.protocol.errors import InputError
+from harness.store import arrays as raw
 from harness.store import files
 from harness.store.bodies import Texts, body_of, stored_of
 from harness.store.database import Damaged, connect, explained, transaction
-from harness.store.packing import array_bytes, array_of, digest, json_bytes, pack, parsed, unpack
+from harness.store.packing import digest, json_bytes, pack, packed_together, parsed, unpack
 from harness.store.stored import LABELS, NOT_RUN, Stored
 
 if TYPE_CHECKING:
@@ -46,6 +46,9 @@ class ResultsFolder:
         self.folder, self.write = Path(folder), write
         self._connection = connect(self.folder, write)
         self._texts = Texts(self._connection)
+        with explained(self.folder):
+            found = self.run("SELECT value FROM meta WHERE name = 'dictionary'").fetchone()
+        self._dictionary = found[0] if found else b""
 
     def __enter__(self) -> Self:
         return self
@@ -101,22 +104,20 @@ class ResultsFolder:
 
     def put(self, trial: Stored, arrays: Mapping[str, np.ndarray], kept: Mapping[str, str]) -> None:
         """Inside of :meth:`writing`: what :meth:`save` does, for one of many trials."""
-        digests = self.keep_arrays(trial.hash, arrays)
-        body = body_of(trial, self._texts, digests, kept)
+        body = body_of(trial, self._texts, self.keep_arrays(arrays), kept)
         self.run(
             "INSERT OR REPLACE INTO trial VALUES (?, ?, ?)",
-            *(trial.hash, digest(body), pack(body)),
+            *(trial.hash, digest(body), pack(body, self._dictionary)),
         )
 
     def save_records(self, trials: Mapping[str, Stored]) -> None:
         """Replace records, status and reason of stored trials; raw data stay as they are."""
         with self.writing():
-            arrays = self._arrays()
             for key, trial in trials.items():
-                body = body_of(trial, self._texts, arrays.get(key, {}), trial.files)
+                body = body_of(trial, self._texts, trial.kept_arrays, trial.files)
                 self.run(
                     "UPDATE trial SET checksum = ?, body = ? WHERE trial = ?",
-                    *(digest(body), pack(body), key),
+                    *(digest(body), pack(body, self._dictionary), key),
                 )
 
     def write_plan(self, head: Mapping[str, Any], rows: Iterable[Mapping[str, Any]]) -> None:
@@ -126,35 +127,14 @@ class ResultsFolder:
         ``fit`` that it needs.
         """
         with self.writing():
-            packed = [
-                (
-                    *(position, row["trial"], *(row[key] for key in LABELS), row["fit"]),
-                    json_bytes(self._texts.put(row["identity"])).decode(),
-                )
-                for position, row in enumerate(rows)
-            ]
-            text = json_bytes(head).decode()
-            self.run("DELETE FROM plan")
-            self._connection.executemany(
-                "INSERT INTO plan VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?)", packed
-            )
-            for name, value in (("plan", text), ("plan checksum", _plan_digest(text, packed))):
+            planned = [{**row, "identity": self._texts.put(row["identity"])} for row in rows]
+            plan = json_bytes({**head, "trials": planned})
+            for name, value in (("plan", pack(plan)), ("plan checksum", digest(plan))):
                 self.run("INSERT OR REPLACE INTO meta VALUES (?, ?)", name, value)
 
-    def keep_arrays(self, key: str, arrays: Mapping[str, np.ndarray]) -> dict[str, str]:
-        """Inside of :meth:`writing`: replace the arrays under ``key``; their digests.
-
-        The same content is kept once.
-        """
-        self.run("DELETE FROM array WHERE trial = ?", key)
-        digests = {}
-        for name, array in arrays.items():
-            data = array_bytes(array)
-            digests[name] = digest(data)
-            # What stands there under this digest may be damaged.
-            self.run("INSERT OR REPLACE INTO blob VALUES (?, ?)", digests[name], pack(data))
-            self.run("INSERT INTO array VALUES (?, ?, ?)", key, name, digests[name])
-        return digests
+    def keep_arrays(self, arrays: Mapping[str, np.ndarray]) -> dict[str, str]:
+        """Inside of :meth:`writing`: keep arrays, the same content once; their digests by name."""
+        return raw.keep(self._connection, arrays)
 
     def set_aside(self, trials: Mapping[str, str]) -> None:
         """Take trials out of the results, by key with the reason; their bodies are kept apart."""
@@ -166,19 +146,30 @@ class ResultsFolder:
                     *(noticed, reason, key),
                 )
                 self.run("DELETE FROM trial WHERE trial = ?", key)
-                self.run("DELETE FROM array WHERE trial = ?", key)
-                # Arrays of a probe stand under a key of their own (:mod:`harness.store.code`).
+                # A probe has a key of its own (:mod:`harness.store.code`).
                 self.run("DELETE FROM probe WHERE 'probe ' || part || ' ' || digest = ?", key)
 
     def tidy(self) -> None:
         """Remove arrays and files that no trial names any more."""
+        trials = self.trials()
         with self.writing():
-            self.run("DELETE FROM blob WHERE digest NOT IN (SELECT digest FROM array)")
-        named = [d for t in self.trials().values() for d in t.files.values()]
-        files.sweep(self.folder, named)
+            raw.sweep(self._connection, self._named_arrays(trials))
+        files.sweep(self.folder, [d for t in trials.values() for d in t.files.values()])
 
     def compact(self) -> None:
-        """Give the space of what was removed back to the disk."""
+        """Make the file as small as it can be; nobody else may have it open.
+
+        All trials are packed with a dictionary made of some of them, where that pays for itself.
+        """
+        with self.writing():
+            bodies = {
+                key: unpack(body, self._dictionary)
+                for key, body in self.run("SELECT trial, body FROM trial ORDER BY trial")
+            }
+            packed, self._dictionary = packed_together(bodies)
+            self.run("INSERT OR REPLACE INTO meta VALUES ('dictionary', ?)", self._dictionary)
+            for key, body in packed.items():
+                self.run("UPDATE trial SET body = ? WHERE trial = ?", body, key)
         with explained(self.folder):
             self.run("VACUUM")
 
@@ -187,22 +178,17 @@ class ResultsFolder:
     def plan(self) -> dict[str, Any]:
         """The plan of the last run: suite, title, profile, baseline, report, labels and trials."""
         with explained(self.folder):
-            meta = dict(self.run("SELECT name, value FROM meta").fetchall())
-            rows = self.run("SELECT * FROM plan ORDER BY position").fetchall()
+            meta = dict(self.run("SELECT name, value FROM meta WHERE name LIKE 'plan%'"))
             if "plan" not in meta:
                 raise InputError(f"{self.folder}: holds no plan yet; run the suite first")
-            keys = ("trial", *LABELS, "fit")
             try:
-                if _plan_digest(meta["plan"], rows) != meta.get("plan checksum"):
+                text = unpack(meta["plan"])
+                if digest(text) != meta.get("plan checksum"):
                     raise ValueError("it does not match its checksum")
-                trials = [
-                    {
-                        **dict(zip(keys, row[1:-1], strict=True)),
-                        "identity": self._texts.get(parsed(row[-1])),
-                    }
-                    for row in rows
-                ]
-                return {**parsed(meta["plan"]), "trials": trials}
+                plan = parsed(text)
+                for row in plan["trials"]:
+                    row["identity"] = self._texts.get(row["identity"])
+                return plan
             except (ValueError, TypeError) as error:
                 raise Damaged(
                     f"{self.folder}: the stored plan is damaged: {error}; harness run writes it"
@@ -233,12 +219,11 @@ class ResultsFolder:
         asked = sorted(wanted or ()) if one_by_one else ()
         with explained(self.folder):
             rows = self.run(f"SELECT trial, checksum, body FROM trial{place}", *asked).fetchall()
-            arrays = self._arrays(place, *asked)
             reader = partial(_arrays_of, self.folder)
             return {
-                row[0]: stored_of(reader, self._texts, *row, arrays.get(row[0], {}))
-                for row in rows
-                if wanted is None or row[0] in wanted
+                key: stored_of(reader, self._texts, key, checksum, self._unpacked(body))
+                for key, checksum, body in rows
+                if wanted is None or key in wanted
             }
 
     def arrays(self, key: str) -> dict[str, np.ndarray]:
@@ -247,28 +232,22 @@ class ResultsFolder:
         Raises:
             InputError: one does not match its checksum.
         """
+        return self.arrays_named(key, self.trial(key).kept_arrays)
+
+    def arrays_named(self, key: str, kept: Mapping[str, str]) -> dict[str, np.ndarray]:
+        """Arrays by their digests; ``key`` is named where one is damaged.
+
+        Raises:
+            InputError: one does not match its checksum.
+        """
         with explained(self.folder):
-            rows = self.run(
-                "SELECT name, array.digest, body FROM array LEFT JOIN blob USING (digest)"
-                " WHERE trial = ?",
-                key,
-            ).fetchall()
-        return {name: array_of(self._intact(key, name, kept, body)) for name, kept, body in rows}
+            return raw.read(self._connection, self.folder, key, kept)
 
     def array_damage(self) -> dict[str, str]:
-        """What is wrong with raw arrays, by trial."""
-        found: dict[str, str] = {}
+        """What is wrong with raw arrays, by trial, or by the key of a probe."""
+        trials = self.trials()
         with explained(self.folder):
-            rows = self.run(
-                "SELECT array.digest, body, group_concat(trial), min(name) FROM array"
-                " LEFT JOIN blob USING (digest) GROUP BY array.digest"
-            )
-            for kept, body, trials, name in rows:
-                try:
-                    self._intact(trials, name, kept, body)
-                except InputError as error:
-                    found.update(dict.fromkeys(trials.split(","), str(error)))
-        return found
+            return raw.damage(self._connection, self.folder, self._named_arrays(trials))
 
     def check(self) -> None:
         """Raise :class:`~harness.store.database.Damaged` if the file is no whole database."""
@@ -279,31 +258,21 @@ class ResultsFolder:
 
     # --- inside --------------------------------------------------------------------------------
 
-    def _arrays(self, place: str = "", *asked: str) -> dict[str, dict[str, str]]:
-        """Digests of arrays by trial and name."""
-        found: dict[str, dict[str, str]] = {}
-        for trial, name, kept in self.run(f"SELECT trial, name, digest FROM array{place}", *asked):
-            found.setdefault(trial, {})[name] = kept
-        return found
-
-    def _intact(self, trial: str, name: str, kept: str, body: bytes | None) -> bytes:
+    def _unpacked(self, body: bytes) -> bytes:
+        """A trial's body; empty, which no checksum is of, if it is damaged."""
         try:
-            data = unpack(body) if body is not None else b""
+            return unpack(body, self._dictionary)
         except ValueError:
-            data = b""
-        if digest(data) != kept:
-            raise InputError(
-                f"{self.folder}: the stored array '{name}' of trial {trial} is damaged;"
-                " harness run measures it again"
-            )
-        return data
+            return b""
+
+    def _named_arrays(self, trials: Mapping[str, Stored]) -> dict[str, dict[str, str]]:
+        """Digests of arrays by name, of ``trials`` and of all probes, by their keys."""
+        probes = self.run("SELECT 'probe ' || part || ' ' || digest, arrays FROM probe").fetchall()
+        found = {key: trial.kept_arrays for key, trial in trials.items()}
+        return found | {key: parsed(arrays) for key, arrays in probes}
 
 
 def _arrays_of(folder: Path, key: str) -> dict[str, np.ndarray]:
     with ResultsFolder(folder) as results:
         return results.arrays(key)
 
-
-def _plan_digest(head: str, rows: list[tuple]) -> str:
-    # Text and whole numbers alone; of many rows the encoder of the standard library is the faster.
-    return digest(json.dumps([head, *rows], separators=(",", ":")).encode())

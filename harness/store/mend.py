@@ -15,7 +15,6 @@ from harness.core.protocol.errors import InputError
 from harness.store.damage import damage
 from harness.store.database import ASIDE, FILE, Damaged, connect, explained
 from harness.store.folder import ResultsFolder
-from harness.store.packing import parsed, unpack
 
 _JOURNAL = f"{FILE}-journal"
 
@@ -85,19 +84,7 @@ def _take_over(old: sqlite3.Connection, new: sqlite3.Connection) -> None:
                 new.execute(f"INSERT OR IGNORE INTO {table} VALUES ({marks})", row)
             except sqlite3.ProgrammingError:
                 continue  # a value that no text or number can be made of
-    _name_arrays(new)
     new.commit()
-
-
-def _name_arrays(new: sqlite3.Connection) -> None:
-    """Rows of the table ``array`` that were lost, made again of what the trials' bodies say."""
-    for key, body in new.execute("SELECT trial, body FROM trial").fetchall():
-        try:
-            arrays = parsed(unpack(body))["arrays"]
-        except (ValueError, KeyError, TypeError):
-            continue  # damaged itself, which the check of checksums says
-        for name, digest in arrays.items():
-            new.execute("INSERT OR IGNORE INTO array VALUES (?, ?, ?)", (key, name, digest))
 
 
 def _readable(old: sqlite3.Connection, table: str) -> list[tuple]:

@@ -6,19 +6,21 @@ import math
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import LogFormatterMathtext
 
 from harness.analysis.breakeven import TIMES, CostLine, Costs, costs, timed_scenes
 from harness.analysis.results import Results
-from harness.report.figures.canvas import Canvas, Drawn, grid_shape, log_ticks, styled
+from harness.report.figures.canvas import Canvas, Drawn, log_ticks, styled
 from harness.report.figures.palette import Look, looks
+from harness.report.figures.panels import Labels, panels
 
 ORDER = 40
 _BEYOND = 3
 """By what factor a panel reaches beyond its lines."""
 _POINTS = 60
+_SIZE = (2.45, 1.9)
+"""Inches of a panel."""
 _RANGE = (1e5, 1e9)
 """Samples shown in any case; wider where crossings lie outside."""
 
@@ -43,27 +45,10 @@ def breakeven(results: Results, canvas: Canvas) -> list[Drawn] | str:
 
 
 def _scene(
-    results: Results, canvas: Canvas, scene: str, panels: dict[str, Costs], several: bool
+    results: Results, canvas: Canvas, scene: str, of: dict[str, Costs], several: bool
 ) -> Drawn:
     look = looks(results)
-    shown = [m for m in results.methods if any(m.label in c.lines for c in panels.values())]
-    rows, columns = grid_shape(len(panels))
-    legend_columns = min(len(shown) + 1, max(2, round(1.5 * columns)))
-    legend_height = 0.2 * -(-(len(shown) + 1) // legend_columns) + 0.15
-    height = rows * 2.7 + legend_height + 0.2
-    figure = Figure(figsize=(max(3.0 * columns, 4.6), height), layout="constrained")
-    figure.get_layout_engine().set(rect=(0, legend_height / height, 1, 1 - legend_height / height))
-    grid = figure.subplots(rows, columns, squeeze=False)
-    for panel in grid.flat:
-        panel.set_visible(False)
-    for i, (material, found) in enumerate(panels.items()):
-        panel = grid.flat[i]
-        panel.set_visible(True)
-        _panel(panel, found, look)
-        panel.set_title(material)
-        panel.set_xlabel(f"samples of {found.reference}")
-        if i % columns == 0:
-            panel.set_ylabel("seconds to its error")
+    shown = [m for m in results.methods if any(m.label in c.lines for c in of.values())]
     handles = [
         Line2D([], [], color=look[m.label].colour, ls=look[m.label].dash, lw=1.3, label=m.label)
         for m in shown
@@ -71,7 +56,13 @@ def _scene(
     handles.append(
         Line2D([], [], color="#555555", marker="o", mfc="white", ls="", ms=4, label="crossing")
     )
-    figure.legend(handles=handles, loc="lower center", ncols=legend_columns, handlelength=3.2)
+    stacks = [
+        [Labels(f"samples of {found.reference}", "seconds to its error", material)]
+        for material, found in of.items()
+    ]
+    figure, grid = panels(stacks, _SIZE, handles, handle_length=3.2)
+    for (panel,), found in zip(grid, of.values(), strict=True):
+        _panel(panel, found, look)
     return canvas.save(
         figure,
         f"breakeven-{scene}" if several else "breakeven",
@@ -83,9 +74,6 @@ def _scene(
 
 
 def _panel(panel: Axes, found: Costs, look: dict[str, Look]) -> None:
-    panel.set_xscale("log")
-    panel.set_yscale("log")
-    panel.grid(True, which="major")
     base = found.lines.get(found.reference)
     crossings = {
         label: line.against(base).at

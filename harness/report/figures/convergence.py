@@ -4,19 +4,22 @@ from __future__ import annotations
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
+from matplotlib.collections import LineCollection
 from matplotlib.lines import Line2D
 
 from harness.analysis.records.convergence import curve_of
 from harness.analysis.results import Results
-from harness.report.figures.canvas import Canvas, Drawn, grid_shape, log_ticks, styled
+from harness.report.figures.canvas import Canvas, Drawn, log_ticks, styled
 from harness.report.figures.palette import Look, looks
+from harness.report.figures.panels import Labels, panels
 
 ORDER = 50
 MEASURE = "convergence"
 _BELOW = 1e-30
 """Stands for a lower bound of zero or less: far below every panel."""
 _AXES = (("spp", "samples per pixel"), ("seconds", "seconds"))
+_SIZE = (2.15, 1.4)
+"""Inches of a panel."""
 
 
 def convergence(results: Results, canvas: Canvas) -> list[Drawn] | str:
@@ -31,31 +34,17 @@ def convergence(results: Results, canvas: Canvas) -> list[Drawn] | str:
 def _scene(results: Results, canvas: Canvas, scene: str) -> Drawn:
     look = looks(results)
     materials = [m for m in results.materials if results.trials(MEASURE, m, scene=scene)]
-    rows, columns = grid_shape(len(materials))
     drawn = [m for m in results.methods if results.trials(MEASURE, method=m.label, scene=scene)]
-    legend_columns = min(len(drawn) + 1, max(2, round(1.5 * columns)))
-    legend_height = 0.2 * -(-(len(drawn) + 1) // legend_columns) + 0.15
-    height = 2 * rows * 2.0 + legend_height + 0.1
-    width = max(2.7 * columns, 4.2)
-    figure = Figure(figsize=(width, height), layout="constrained")
-    figure.get_layout_engine().set(rect=(0, legend_height / height, 1, 1 - legend_height / height))
-    grid = figure.subplots(2 * rows, columns, squeeze=False)
-    for panel in grid.flat:
-        panel.set_visible(False)
-    for i, material in enumerate(materials):
-        row, column = divmod(i, columns)
-        for j, (x, label) in enumerate(_AXES):
-            panel = grid[2 * row + j, column]
-            panel.set_visible(True)
-            _panel(panel, results, look, material, scene, x)
-            panel.set_xlabel(label)
-            if column == 0:
-                panel.set_ylabel("MSE")
-            if j == 0:
-                panel.set_title(material)
     handles = [_handle(look[m.label], m.label) for m in drawn]
     handles.append(Line2D([], [], color="#bbbbbb", lw=1, label="slope −1"))
-    figure.legend(handles=handles, loc="lower center", ncols=legend_columns, handlelength=3.2)
+    stacks = [
+        [Labels(x_label, "MSE", material * (x == _AXES[0][0])) for x, x_label in _AXES]
+        for material in materials
+    ]
+    figure, grid = panels(stacks, _SIZE, handles, handle_length=3.2)
+    for material, pair in zip(materials, grid, strict=True):
+        for panel, (x, _) in zip(pair, _AXES, strict=True):
+            _panel(panel, results, look, material, scene, x)
     several = len(results.scenes(MEASURE)) > 1
     return canvas.save(
         figure,
@@ -73,9 +62,6 @@ def _scene(results: Results, canvas: Canvas, scene: str) -> Drawn:
 def _panel(
     panel: Axes, results: Results, look: dict[str, Look], material: str, scene: str, x: str
 ) -> None:
-    panel.set_xscale("log")
-    panel.set_yscale("log")
-    panel.grid(True, which="major")
     drawn: list[tuple[np.ndarray, np.ndarray]] = []
     bands: list[tuple[np.ndarray, np.ndarray, np.ndarray, str]] = []
     for method in results.methods:
@@ -94,8 +80,8 @@ def _panel(
             )  # fmt: skip
             drawn.append((at, mse))
             if {f"{x}_low", f"{x}_high"} <= arrays.keys():
-                reach = np.abs([arrays[f"{x}_low"] - at, arrays[f"{x}_high"] - at])
-                panel.errorbar(at, mse, xerr=reach, fmt="none", ecolor=style.colour, elinewidth=0.7)
+                ends = arrays[f"{x}_low"], arrays[f"{x}_high"]
+                panel.hlines(mse, *ends, color=style.colour, lw=0.7)
             if {"mse_low", "mse_high"} <= arrays.keys():
                 low, high = arrays["mse_low"], arrays["mse_high"]
                 # A single repeat has no interval.
@@ -129,10 +115,9 @@ def _guide(panel: Axes, drawn: list[tuple[np.ndarray, np.ndarray]]) -> None:
     bottom, top = panel.get_ylim()
     at = np.array([low, high])
     constant = np.nanmedian(np.concatenate([x * y for x, y in drawn]))
-    for factor in 10.0 ** np.arange(-6, 7):
-        line = constant * factor / at
-        if line.max() > bottom and line.min() < top:
-            panel.plot(at, line, color="#cccccc", lw=0.8, zorder=0.5)
+    lines = [constant * factor / at for factor in 10.0 ** np.arange(-6, 7)]
+    seen = [np.stack((at, y), -1) for y in lines if y.max() > bottom and y.min() < top]
+    panel.add_collection(LineCollection(seen, colors="#cccccc", linewidths=0.8, zorder=0.5))
     panel.set_xlim(low, high)
     panel.set_ylim(bottom, top)
 

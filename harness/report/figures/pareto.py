@@ -8,7 +8,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.transforms import Bbox
 
@@ -17,14 +16,17 @@ from harness.analysis.families import Family, families
 from harness.analysis.front import Standing, standings
 from harness.analysis.pareto import CHARTS, Chart
 from harness.analysis.results import Results
-from harness.report.figures.canvas import Canvas, Drawn, grid_shape, log_ticks, styled
+from harness.report.figures.canvas import Canvas, Drawn, log_ticks, styled
 from harness.report.figures.knob_path import inserted
 from harness.report.figures.labels import Label, place
 from harness.report.figures.palette import Look, looks_of
+from harness.report.figures.panels import Labels, panels
 
 ORDER = 30
 ALL = "geometric mean"
 _OPACITY = {"front": 1.0, "possibly": 0.6, "surely": 0.22}
+_SIZE = (3.05, 2.65)
+"""Inches of a panel."""
 _SURE = 0.95
 """A point that is on the front with less probability than this says with how much."""
 
@@ -128,39 +130,26 @@ def _figure(
     canvas: Canvas,
     chart: Chart,
     scene: str,
-    panels: dict[str, Panel],
+    of: dict[str, Panel],
     several: bool,
 ) -> Drawn:
-    shown = {p.family.base.label for panel in panels.values() for p in panel.points + panel.levels}
+    shown = {p.family.base.label for panel in of.values() for p in panel.points + panel.levels}
     kin = [f.base for f in families(results) if f.base.label in shown]
     look = looks_of(kin)
-    rows, columns = grid_shape(len(panels), widest=3)
     handles = [_handle(look[m.label], m.label) for m in kin] + _key()
-    across = max(2, 2 * columns)
-    legend_height = 0.2 * -(-len(handles) // across) + 0.15
-    height = rows * 3.4 + legend_height + 0.1
-    figure = Figure(figsize=(max(3.6 * columns, 5.0), height), layout="constrained")
-    figure.get_layout_engine().set(rect=(0, legend_height / height, 1, 1 - legend_height / height))
-    grid = figure.subplots(rows, columns, squeeze=False)
-    for axes in grid.flat[len(panels) :]:
-        axes.set_visible(False)
-    for i, (title, panel) in enumerate(panels.items()):
-        axes = grid.flat[i]
+    stacks = [[Labels(chart.x_title, chart.y_title, t, emphasised=t == ALL)] for t in of]
+    figure, stacked = panels(stacks, _SIZE, handles, widest=3, handle_length=1.6)
+    grid = [axes for (axes,) in stacked]
+    for axes, panel in zip(grid, of.values(), strict=True):
         _draw(axes, panel, look)
-        axes.set_title(title, style="italic" if title == ALL else "normal")
-        axes.set_xlabel(chart.x_title)
-        if i % columns == 0:
-            axes.set_ylabel(chart.y_title)
-    figure.legend(handles=handles, loc="lower center", ncols=across, handlelength=1.6)
-    # Labels find their places in pixels, so the axes must be where they will stay.
+    # Labels find their places in pixels.
     figure.draw_without_rendering()
-    figure.set_layout_engine("none")
-    lost = [label for i, p in enumerate(panels.values()) for label in _write(grid.flat[i], p, look)]
+    lost = [label for i, p in enumerate(of.values()) for label in _write(grid[i], p, look)]
     where = f" in the scene {scene}" if scene and chart.in_scene(results) else ""
     caption = chart.caption.format(where=where) + _EXPLAINED
     if chart.note(results):
         caption += f" {chart.note(results)}"
-    if len(panels) > 1:
+    if len(of) > 1:
         caption += f" The {ALL} is of what has a number on every material."
     if lost:
         caption += f" Without room for their labels: {', '.join(dict.fromkeys(lost))}."
@@ -183,9 +172,6 @@ _EXPLAINED = (
 
 
 def _draw(axes: Axes, panel: Panel, look: dict[str, Look]) -> None:
-    axes.set_xscale("log")
-    axes.set_yscale("log")
-    axes.grid(True, which="major")
     for point in panel.points:
         style = look[point.family.base.label]
         base = point.label == point.family.base.label

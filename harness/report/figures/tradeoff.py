@@ -6,17 +6,20 @@ import math
 from dataclasses import dataclass
 
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
+from matplotlib.collections import LineCollection
 from matplotlib.lines import Line2D
 
 from harness.analysis.combine import Estimate, geometric_mean
 from harness.analysis.quantities import nanoseconds_per_sample
 from harness.analysis.results import MethodColumn, Results
-from harness.report.figures.canvas import Canvas, Drawn, grid_shape, log_ticks, styled
+from harness.report.figures.canvas import Canvas, Drawn, log_ticks, styled
 from harness.report.figures.palette import Look, looks
+from harness.report.figures.panels import Labels, panels
 
 ORDER = 20
 _ALL = "geometric mean"
+_SIZE = (2.25, 1.75)
+"""Inches of a panel."""
 
 
 @dataclass(frozen=True)
@@ -46,36 +49,22 @@ def tradeoff(results: Results, canvas: Canvas) -> list[Drawn] | str:
 
 
 def _scene(results: Results, canvas: Canvas, scene: str) -> Drawn | None:
-    panels = {material: _points(results, material, scene) for material in results.materials}
-    panels = {material: points for material, points in panels.items() if points}
-    if not panels:
+    of = {material: _points(results, material, scene) for material in results.materials}
+    of = {material: points for material, points in of.items() if points}
+    if not of:
         return None
-    if len(panels) > 1:
-        panels = {_ALL: _means(results, list(panels.values()))} | panels
+    if len(of) > 1:
+        of = {_ALL: _means(results, list(of.values()))} | of
     weights = bool(results.trials("sample-weights"))
     quantity = "relative variance" if weights else "χ² divergence"
     look = looks(results)
-    shown = {p.method.label for points in panels.values() for p in points}
-    rows, columns = grid_shape(len(panels))
-    legend_columns = min(len(shown) + 1, max(2, round(1.5 * columns)))
-    legend_height = 0.2 * -(-(len(shown) + 1) // legend_columns) + 0.15
-    height = rows * 2.5 + legend_height + 0.2
-    figure = Figure(figsize=(max(2.8 * columns, 4.4), height), layout="constrained")
-    figure.get_layout_engine().set(rect=(0, legend_height / height, 1, 1 - legend_height / height))
-    grid = figure.subplots(rows, columns, squeeze=False)
-    for panel in grid.flat:
-        panel.set_visible(False)
-    for i, (title, points) in enumerate(panels.items()):
-        panel = grid.flat[i]
-        panel.set_visible(True)
-        _panel(panel, points, look)
-        panel.set_title(title, style="italic" if title == _ALL else "normal")
-        panel.set_xlabel("ns per rendered sample")
-        if i % columns == 0:
-            panel.set_ylabel(quantity)
+    shown = {p.method.label for points in of.values() for p in points}
     handles = [_handle(look[m.label], m.label) for m in results.methods if m.label in shown]
     handles.append(Line2D([], [], color="#999999", lw=1.0, label="front"))
-    figure.legend(handles=handles, loc="lower center", ncols=legend_columns)
+    stacks = [[Labels("ns per rendered sample", quantity, t, emphasised=t == _ALL)] for t in of]
+    figure, grid = panels(stacks, _SIZE, handles)
+    for (panel,), points in zip(grid, of.values(), strict=True):
+        _panel(panel, points, look)
     several = len(results.scenes("equal-time")) > 1
     return canvas.save(
         figure,
@@ -90,7 +79,7 @@ def _scene(results: Results, canvas: Canvas, scene: str) -> Drawn | None:
         + f" against the time of one rendered sample in the scene {scene}; both axes logarithmic, "
         "bars are 95% intervals. Lower and further left is better; the grey line joins the methods "
         "that no other beats in both."
-        + (f" The {_ALL} is of methods with a number on every material." * (len(panels) > 1)),
+        + (f" The {_ALL} is of methods with a number on every material." * (len(of) > 1)),
     )
 
 
@@ -121,26 +110,16 @@ def _means(results: Results, panels: list[list[Point]]) -> list[Point]:
 
 
 def _panel(panel: Axes, points: list[Point], look: dict[str, Look]) -> None:
-    panel.set_xscale("log")
-    panel.set_yscale("log")
-    panel.grid(True, which="major")
     finite = [p for p in points if 0 < p.error.value < math.inf]
     for point in finite:
         style = look[point.method.label]
-        panel.errorbar(
-            point.time.value,
-            point.error.value,
-            xerr=_bars(point.time),
-            yerr=_bars(point.error),
-            color=style.colour,
-            marker=style.marker,
-            ms=9 if style.marker == "*" else 6,
-            elinewidth=0.9,
-            capsize=0,
-            mec="white",
-            mew=0.4,
-            zorder=3,
-        )
+        panel.plot(
+            point.time.value, point.error.value, color=style.colour, marker=style.marker,
+            ms=9 if style.marker == "*" else 6, mec="white", mew=0.4, zorder=3,
+        )  # fmt: skip
+    bars = [bar for point in finite for bar in _bars(point)]
+    colours = [look[p.method.label].colour for p in finite for _ in _bars(p)]
+    panel.add_collection(LineCollection(bars, colors=colours, linewidths=0.9, zorder=2.5))
     line = _front(finite)
     panel.plot(
         [p.time.value for p in line],
@@ -164,13 +143,12 @@ def _front(points: list[Point]) -> list[Point]:
     return front
 
 
-def _bars(estimate: Estimate) -> list[list[float]] | None:
-    if not estimate.has_interval:
-        return None
-    return [
-        [max(estimate.value - estimate.low, 0.0)],  # matplotlib refuses a bar of rounding error
-        [max(estimate.high - estimate.value, 0.0)],
-    ]
+def _bars(point: Point) -> list[list[tuple[float, float]]]:
+    """The intervals of a point as lines, of those that it has."""
+    time, error = point.time, point.error
+    across = [(time.low, error.value), (time.high, error.value)]
+    along = [(time.value, error.low), (time.value, error.high)]
+    return [across] * time.has_interval + [along] * error.has_interval
 
 
 def _handle(style: Look, label: str) -> Line2D:

@@ -1,0 +1,94 @@
+"""Small multiples: panels of one size in rows, a legend below all of them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+_LEFT, _RIGHT, _ABOVE, _BELOW = 0.55, 0.1, 0.28, 0.44
+"""Inches around a panel's axes: labels of its y axis, air, its title, labels of its x axis."""
+_INNER = 0.42
+"""Inches left of a panel that has tick labels there and no axis label."""
+_X_LABEL, _Y_LABEL = 0.2, 0.42
+"""Inches from the axes to the middle of their labels."""
+_LINE = 0.2
+"""Inches that a line of the legend takes."""
+_SEVERAL_COLUMNS = 2
+"""Columns of panels up from which a legend is as wide as they are."""
+
+
+@dataclass(frozen=True)
+class Labels:
+    """What is written around one panel; without a title it stands closer to the one above."""
+
+    x: str
+    y: str
+    title: str = ""
+    emphasised: bool = False
+    """Whether the title is set in italics."""
+
+
+def panels(
+    columns_of: Sequence[Sequence[Labels]],
+    size: tuple[float, float],
+    handles: Sequence[Artist],
+    widest: int = 4,
+    handle_length: float = 2.0,
+) -> tuple[Figure, list[list[Axes]]]:
+    """A figure of panels whose axes are ``size`` inches, and these, in the order of ``columns_of``.
+
+    Each of ``columns_of`` is a stack of panels that stay below each other; stacks stand in
+    rows. Only the first of a row has the label of its y axis. All measures are given: to have
+    matplotlib find them from the texts takes as long as drawing. ``widest`` is the most in a row.
+    """
+    width, height = size
+    per_row = -(-len(columns_of) // -(-len(columns_of) // widest))
+    rows = -(-len(columns_of) // per_row)
+    stack = [_ABOVE * bool(labels.title) + height + _BELOW for labels in columns_of[0]]
+    legend_columns = min(len(handles), max(_SEVERAL_COLUMNS, round(1.5 * per_row)))
+    legend = _LINE * -(-len(handles) // legend_columns) + 0.1
+    step = _INNER + width + _RIGHT
+    total = (
+        max(_LEFT - _INNER + per_row * step, 1.5 * legend_columns),
+        rows * sum(stack) + legend,
+    )
+    figure = Figure(figsize=total)
+    found = []
+    for i, labels_of in enumerate(columns_of):
+        row, column = divmod(i, per_row)
+        left = _LEFT + column * step
+        top = total[1] - row * sum(stack)
+        made = []
+        for labels, tall in zip(labels_of, stack, strict=True):
+            top -= tall
+            box = (left / total[0], (top + _BELOW) / total[1], width / total[0], height / total[1])
+            made.append(_panel(figure, box, size, labels, first=column == 0))
+        found.append(made)
+    figure.legend(
+        handles=list(handles), loc="lower center", ncols=legend_columns, handlelength=handle_length
+    )
+    return figure, found
+
+
+def _panel(
+    figure: Figure,
+    box: tuple[float, float, float, float],
+    size: tuple[float, float],
+    labels: Labels,
+    first: bool,
+) -> Axes:
+    panel = figure.add_axes(box)
+    panel.set_xscale("log")
+    panel.set_yscale("log")
+    panel.grid(True, which="major")
+    panel.set_title(labels.title, style="italic" if labels.emphasised else "normal")
+    panel.set_xlabel(labels.x)
+    panel.xaxis.set_label_coords(0.5, -_X_LABEL / size[1])
+    if first:
+        panel.set_ylabel(labels.y)
+        panel.yaxis.set_label_coords(-_Y_LABEL / size[0], 0.5)
+    return panel
