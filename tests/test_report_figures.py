@@ -17,8 +17,8 @@ from harness.analysis.results import MethodColumn, Results
 from harness.report.figures.canvas import Canvas, styled
 from harness.report.figures.images import _worst_square
 from harness.report.figures.palette import looks
-from harness.report.figures.panels import Labels, panels
 from harness.report.figures.rendered import exposure, reference, srgb
+from harness.report.figures.small_multiples import Labels, panels
 from harness.report.figures.tradeoff import Point, _front
 from harness.report.parts import part, parts
 from tests.report_reading import cell_of

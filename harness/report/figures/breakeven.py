@@ -13,7 +13,7 @@ from harness.analysis.breakeven import TIMES, CostLine, Costs, costs, timed_scen
 from harness.analysis.results import Results
 from harness.report.figures.canvas import Canvas, Drawn, log_ticks, styled
 from harness.report.figures.palette import Look, looks
-from harness.report.figures.panels import Labels, panels
+from harness.report.figures.small_multiples import Labels, panels
 
 ORDER = 40
 _BEYOND = 3

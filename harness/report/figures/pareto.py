@@ -20,7 +20,7 @@ from harness.report.figures.canvas import Canvas, Drawn, log_ticks, styled
 from harness.report.figures.knob_path import inserted
 from harness.report.figures.labels import Label, place
 from harness.report.figures.palette import Look, looks_of
-from harness.report.figures.panels import Labels, panels
+from harness.report.figures.small_multiples import Labels, panels
 
 ORDER = 30
 ALL = "geometric mean"

@@ -14,7 +14,7 @@ from harness.analysis.quantities import nanoseconds_per_sample
 from harness.analysis.results import MethodColumn, Results
 from harness.report.figures.canvas import Canvas, Drawn, log_ticks, styled
 from harness.report.figures.palette import Look, looks
-from harness.report.figures.panels import Labels, panels
+from harness.report.figures.small_multiples import Labels, panels
 
 ORDER = 20
 _ALL = "geometric mean"
