@@ -7,6 +7,13 @@ from pathlib import Path
 import pytest
 
 
+@pytest.fixture(autouse=True)
+def without_probes(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Runs keep probes of their code where the test is marked ``probes``: they take seconds."""
+    if request.node.get_closest_marker("probes") is None:
+        monkeypatch.setattr("harness.runner.probes.Probes.keep", lambda *_: None)
+
+
 @pytest.fixture(scope="module")
 def failing(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Results of three materials, six methods; an error, an unsupported method, a biased one."""

@@ -14,7 +14,6 @@ from harness.identity import ours
 from harness.identity.executed import recorded
 from harness.measures import registry as measures
 from harness.mitsuba_runtime import variant
-from harness.runner.probes import Probes
 from harness.runner.run import Options, run
 from harness.suite import source_parts
 from harness.suite.load import load
@@ -53,12 +52,6 @@ WITHOUT_NUMBERS = (
 """Modules, or units in them, that no part of a trial has to cover."""
 
 TINY_RENDER = {"batches": 6, "spp": 2, "resolution": 8, "reference_spp": 8}
-
-
-@pytest.fixture(autouse=True)
-def no_probes(monkeypatch: pytest.MonkeyPatch) -> None:
-    """They run other methods beside the trial's."""
-    monkeypatch.setattr(Probes, "keep", lambda *_: None)
 
 
 def executed_and_covered(

@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import json
+import os
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 
+from harness.core.paths import ROOT
 from harness.core.protocol.errors import InputError
 from harness.identity.cache import Cache
 from harness.identity.digests import Digests, Part, SourceDigest
@@ -222,6 +227,16 @@ def test_what_cannot_be_parsed_is_refused_in_one_line(tmp_path):
         of(tmp_path, {"m": "def f(:\n"}, "ours.m:f")
     with pytest.raises(KeyError):
         of(tmp_path, {"m": "def f(): pass\n"}, "ours.m:g")
+
+
+def test_what_a_process_parsed_is_kept_for_the_next(tmp_path):
+    code = "from harness.identity.ours import digests; digests().tree.unit('%s', 'ROOT')"
+    subprocess.run(
+        [sys.executable, "-c", code % "harness.core.paths"],
+        env={**os.environ, "XDG_CACHE_HOME": str(tmp_path)}, check=True, cwd=ROOT,
+    )  # fmt: skip
+    (file,) = tmp_path.glob("bsdf-sampling-harness/units-*.json")
+    assert json.loads(file.read_text())
 
 
 def test_the_cache_gives_the_same_and_may_be_damaged_or_unwritable(tmp_path):

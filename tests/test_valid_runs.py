@@ -29,6 +29,8 @@ from harness.suite.plan import make_plan
 from tests import fakes
 from tests.fakes import Probe
 
+pytestmark = pytest.mark.probes
+
 
 @pytest.fixture(autouse=True)
 def _fakes(monkeypatch: pytest.MonkeyPatch) -> None:

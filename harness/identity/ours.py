@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 from functools import lru_cache
 from pathlib import Path
 
@@ -34,5 +35,6 @@ BY_NAME = {"harness.core.registry:make": _shipped_method}
 def digests(root: Path = ROOT, cached: bool = True) -> Digests:
     """Digests of the tree below ``root``, as it is when they are first asked for."""
     cache = Cache(default_folder() if cached else None)
+    atexit.register(cache.save)  # once: it is a file of megabytes
     roots = {top: root / top for top in ("harness", "methods")}
     return Digests(Tree(roots, cut=TABLES, by_name=BY_NAME, cache=cache))
