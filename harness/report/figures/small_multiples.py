@@ -9,12 +9,12 @@ from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-_LEFT, _RIGHT, _ABOVE, _BELOW = 0.55, 0.1, 0.28, 0.44
+_LEFT, _RIGHT, _ABOVE, _BELOW = 0.6, 0.12, 0.28, 0.48
 """Inches around a panel's axes: labels of its y axis, air, its title, labels of its x axis."""
 _INNER = 0.42
 """Inches left of a panel that has tick labels there and no axis label."""
-_X_LABEL, _Y_LABEL = 0.2, 0.42
-"""Inches from the axes to the middle of their labels."""
+_X_LABEL, _Y_LABEL = 0.25, 0.42
+"""Inches from the axes to their labels."""
 _LINE = 0.2
 """Inches that a line of the legend takes."""
 _SEVERAL_COLUMNS = 2
