@@ -82,7 +82,7 @@ def minimise(
         optimise_seconds=time.perf_counter() - start,
         loss=history,
         part_seconds=[end - begin for begin, end in itertools.pairwise(marks)],
-        notes=f"{targets.black} black conditions left out" if targets.black else "",
+        notes=targets.notes,
     )
 
 

@@ -44,10 +44,11 @@ class WeightedSample(NamedTuple):
 class Budget:
     """How much a fit may spend.
 
-    ``steps`` optimiser steps of ``conditions`` conditions times ``directions`` directions;
-    targets are tabulated on ``resolution`` x ``resolution`` equal-area cells of the disk for
-    a pool of ``pool`` conditions. ``max_seconds`` is a limit, not a goal: a fit that passes
-    it ends as a trial of status ``timeout``.
+    ``steps`` optimiser steps of ``conditions`` conditions times ``directions`` directions,
+    drawn from p* of a pool of ``pool`` conditions. ``resolution`` says how closely p* is looked
+    at for its peaks, ``resolution``^2 evaluations a condition and 64^2 at the least; what is drawn
+    is as sharp as the material whatever it says. ``max_seconds`` is a limit, not a goal: a fit
+    that passes it ends as a trial of status ``timeout``.
     """
 
     steps: int = 1000
