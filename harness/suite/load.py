@@ -204,7 +204,11 @@ def _check_references(suite: Suite) -> None:
         "scenes": [item.name for item in suite.scenes],
         "measures": [item.name for item in suite.measures],
         "seeds": suite.seeds,
+        "training_seeds": suite.training_seeds or [],
     }
+    for name, profile in suite.profiles.items():
+        for key in ("seeds", "training_seeds"):
+            labels[f"profiles.{name}.{key}"] = getattr(profile, key) or []
     for key, values in labels.items():
         for index, value in enumerate(values):
             if value in values[:index]:

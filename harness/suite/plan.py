@@ -13,6 +13,7 @@ from harness.core.protocol.errors import InputError, nearest
 from harness.core.protocol.method import Budget
 from harness.identity.named_files import replaced
 from harness.measures import registry as measures
+from harness.suite import seeds
 from harness.suite.load import Loaded
 from harness.suite.resolve import Resolved
 from harness.suite.schema import MethodSpec, NamedSpec, Profile, Suite
@@ -141,28 +142,36 @@ class _Expansion:
 
     def trials(self) -> list[Trial]:
         """Materials, then seeds, then methods; of each the fit, then its measures."""
-        found = []
+        found: dict[str, Trial] = {}
+        pairs = seeds.pairs(
+            self.profile.seeds or self.suite.seeds,
+            self.profile.training_seeds or self.suite.training_seeds,
+        )
         for material in _chosen(self.suite.materials, self.profile.materials):
-            for seed in self.profile.seeds or self.suite.seeds:
+            for training, seed in pairs:
                 for method in self.methods:
-                    found += self._of_method(material, seed, method)
-        return found
+                    # Of several seeds measured with one fit, that is planned once.
+                    for trial in self._of_method(material, training, seed, method):
+                        found.setdefault(f"{trial.hash} {trial.method}", trial)
+        return list(found.values())
 
-    def _of_method(self, material: NamedSpec, seed: int, method: MethodSpec) -> list[Trial]:
+    def _of_method(
+        self, material: NamedSpec, training: int, seed: int, method: MethodSpec
+    ) -> list[Trial]:
         """The fit of one method to one material, and all that is measured with it."""
         blank = Trial(
             hash="",
             identity={
                 "material": self.materials[material.name],
                 "method": self.described[method.label],
-                "seed": seed,
+                "seed": training,
             },
             suite=self.suite.name,
             material=material.name,
             method=method.label,
             scene="",
             measure="",
-            seed=seed,
+            seed=training,
             method_name=method.name,
             params=method.params,
             budget=self._budget(method),
@@ -173,7 +182,10 @@ class _Expansion:
         for name in self.settings:
             if name == FIT:
                 continue
-            one = replace(blank, fit=fit.hash)
+            identity = blank.identity | {"seed": seed}
+            if seed != training:
+                identity["training_seed"] = training
+            one = replace(blank, fit=fit.hash, seed=seed, identity=identity)
             if not self.kinds[name].needs_scene:
                 found.append(self._trial(one, name))
                 continue

@@ -94,6 +94,7 @@ class Profile(Strict):
     methods: Some[str] | None = None
     scenes: Some[str] | None = None
     seeds: Some[int] | None = None
+    training_seeds: Some[int] | None = None
     resolution: Positive | None = None
     budget: BudgetSpec = BudgetSpec()
     measures: dict[str, dict[str, Any]] = {}
@@ -101,7 +102,11 @@ class Profile(Strict):
 
 
 class Suite(Strict):
-    """A whole suite: materials x methods x scenes x measures, tables and figures."""
+    """A whole suite: materials x methods x scenes x measures, tables and figures.
+
+    ``training_seeds`` are of the fits, ``seeds`` of what is measured with each of them
+    (:mod:`harness.suite.seeds`).
+    """
 
     name: Word
     title: str = ""
@@ -110,6 +115,7 @@ class Suite(Strict):
     scenes: list[NamedSpec] = []
     measures: Some[NamedSpec]
     seeds: Some[int] = [0]
+    training_seeds: Some[int] | None = None
     baseline: str | None = None
     resolution: Positive | None = None
     parameters: dict[str, bool | int | float | str] = {}
