@@ -214,6 +214,10 @@ def _check_references(suite: Suite) -> None:
             if value in values[:index]:
                 more = "; give one of them another label" if key == "methods" else ""
                 raise InputError(f"{key}[{index}]: '{value}' is listed twice{more}")
+    for index, method in enumerate(suite.methods):
+        if method.measures is not None:
+            where = f"methods[{index}].measures"
+            _known(where, method.measures, labels["measures"], "measure of this suite")
     if suite.baseline is not None:
         _known("baseline", [suite.baseline], labels["methods"], "method of this suite")
     for name, profile in suite.profiles.items():

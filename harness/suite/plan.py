@@ -94,11 +94,23 @@ def _profile(suite: Suite, name: str | None) -> tuple[str, Profile]:
 
 def _baseline(suite: Suite, profile: Profile) -> str:
     """The method that all others are compared with: as written, or the usual, or the first."""
-    labels = [m.label for m in _chosen(suite.methods, profile.methods)]
+    chosen = _chosen(suite.methods, profile.methods)
+    # What others are compared with is needed wherever they are measured.
+    whole = [m.label for m in chosen if m.measures is None]
     if suite.baseline is None:
-        return DEFAULT_BASELINE if DEFAULT_BASELINE in labels else labels[0]
-    if suite.baseline not in labels:
+        if not whole:
+            raise InputError(
+                "methods: all of them have measures of their own; expected one without,"
+                " which the others are compared with"
+            )
+        return DEFAULT_BASELINE if DEFAULT_BASELINE in whole else whole[0]
+    if suite.baseline not in [m.label for m in chosen]:
         raise InputError(f"baseline: '{suite.baseline}' is left out by the profile's methods")
+    if suite.baseline not in whole:
+        raise InputError(
+            f"baseline: '{suite.baseline}' has measures of its own; expected a method without,"
+            " which all measures are taken of"
+        )
     return suite.baseline
 
 
@@ -180,7 +192,7 @@ class _Expansion:
         fit = self._trial(blank, FIT)
         found = [fit]
         for name in self.settings:
-            if name == FIT:
+            if name == FIT or (method.measures is not None and name not in method.measures):
                 continue
             identity = blank.identity | {"seed": seed}
             if seed != training:

@@ -42,12 +42,13 @@ class Override(Strict):
 class MethodSpec(Override):
     """A method of the suite; ``label`` is what tables call it and must be unique.
 
-    ``sweep`` makes several of it (:mod:`harness.suite.sweep`): values by knob, or ``knobs``
+    ``measures`` are those that are taken of it, by default all of the suite's. ``sweep`` makes several of it (:mod:`harness.suite.sweep`): values by knob, or ``knobs``
     for all that the adapter declares.
     """
 
     name: str
     label: str = ""
+    measures: Some[str] | None = None
     sweep: Any = None  # checked there, where the message can name the knobs
 
     _swept_from: str = PrivateAttr("")
