@@ -13,8 +13,10 @@ from torch import Tensor, nn
 from harness.core.protocol.disk import disk_to_square, inside_disk
 from harness.core.protocol.errors import BudgetExceeded
 from harness.core.protocol.method import Budget
+from harness.fitting import until
 from harness.fitting.targets import Targets, cells, tabulate
 from harness.fitting.train import minimise
+from harness.fitting.until import Validation, fit_until
 from methods.improved_baseline import ImprovedBaseline
 from tests.materials import MATERIALS, HalfBlack, Plain, Tilted
 
@@ -211,3 +213,50 @@ def test_report_notes_black_conditions():
     report = method.fit(HalfBlack(), BUDGET, generator())
     assert "black conditions left out" in report.notes
     assert len(report.loss) == 30 and np.isfinite(report.loss).all()
+
+
+# --- budgets of another kind -------------------------------------------------------------
+
+
+def test_budget_of_seconds():
+    """Ends in time with what it has, however many steps the budget names, rate going down to none.
+
+    What the targets took counts.
+    """
+    table, rates = Table(), []
+
+    def loss() -> Tensor:
+        time.sleep(0.002)
+        rates.append(None)
+        return table.logits.square().sum()
+
+    budget = Budget(steps=7, seconds=0.5)
+    report = minimise(table, loss, few(), budget)
+    assert 10 < report.steps == len(rates) < 250 and 0.5 <= report.optimise_seconds < 2
+    assert report.part_seconds == [] and len(report.loss) >= report.steps // 10
+    assert budget.less(0.2, 2).seconds == pytest.approx(0.15)
+    assert minimise(table, loss, few(), budget.less(0.6)).steps == 0
+    assert BUDGET.less(3.0) is BUDGET
+
+
+def test_fit_until_it_is_converged():
+    """Steps are doubled until KL on conditions held out moves by less; the last fit is kept."""
+    budget = Budget(steps=10, conditions=32, directions=16, pool=64, until=0.2)
+    method, report = fit_until(lambda: ImprovedBaseline(8, 1), Tilted(), budget, generator())
+    steps, kl = zip(*report.validation, strict=True)
+    assert steps == tuple(10 << i for i in range(len(steps))) and report.steps == steps[-1]
+    moves = [abs(a - b) / b for a, b in zip(kl, kl[1:], strict=False)]
+    assert moves[-1] <= 0.2 and all(move > 0.2 for move in moves[:-1])
+    assert Validation(Tilted()).kl(method) == kl[-1]
+    plain = ImprovedBaseline(8, 1)
+    plain.fit(Tilted(), Budget(**{**vars(budget), "steps": steps[-1], "until": None}), generator())
+    for name, value in plain.state_dict().items():
+        assert torch.equal(value, method.state_dict()[name])
+
+
+def test_fit_that_does_not_converge(monkeypatch):
+    """Says by how much KL still moves."""
+    monkeypatch.setattr(until, "DOUBLINGS", 1)
+    budget = Budget(steps=5, conditions=16, directions=8, pool=64, until=1e-6)
+    with pytest.raises(BudgetExceeded, match=r"moves by [\d.]+% from 5 to 10 steps"):
+        fit_until(lambda: ImprovedBaseline(8, 1), Tilted(), budget, generator())

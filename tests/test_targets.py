@@ -15,7 +15,7 @@ from harness.core.protocol.material import Material
 from harness.core.protocol.method import Budget
 from harness.fitting.drawn import GROUPS, Drawn
 from harness.fitting.quadtree import ROUNDS, Quadtree
-from harness.fitting.targets import Targets, tabulate
+from harness.fitting.targets import Targets, _cache, tabulate
 from harness.stats.chisquare import chi_square
 from tests.materials import MATERIALS, HalfBlack, Tilted
 
@@ -75,8 +75,7 @@ class Black(HalfBlack):
 
 # --- where directions are ----------------------------------------------------------------
 
-NEEDLES = {"mirrored": (Needle(0.004), 64), "elsewhere": (Needle(0.012, (0.3, -0.4)), 64),
-           "coarse": (Needle(0.004), 8), "fine": (Needle(0.004), 128)}  # fmt: skip
+NEEDLES = {"mirrored": Needle(0.004), "elsewhere": Needle(0.012, (0.3, -0.4))}
 
 
 @pytest.mark.parametrize("case", NEEDLES)
@@ -86,9 +85,8 @@ def test_directions_follow_peaks_narrower_than_a_cell(case, groups):
 
     A cell of a table of 64 x 64 is 0.03 wide.
     """
-    material, resolution = NEEDLES[case]
-    budget = Budget(pool=256, resolution=resolution, directions=4)
-    targets = Targets.build(material, budget, generator())
+    material = NEEDLES[case]
+    targets = Targets.build(material, Budget(pool=256, directions=4), generator())
     if groups:
         condition, wo = Drawn(targets, 4, generator(1)).batch(4096, generator(2))
     else:
@@ -120,18 +118,18 @@ def test_directions_of_a_table_do_not_pass():
     assert fit_to_rings(material, torch.zeros(1, 2), wo[None]) < 1e-9
 
 
-def test_resolution_below_the_first_look_changes_nothing():
-    """A finer one looks more closely, and finds the same share of p* in the peak."""
-    material, shares = Needle(0.006), {}
-    for resolution in (8, 64, 160):
+def test_resolution_changes_nothing():
+    """Of the budget: what is drawn is the same, and its share in the peak is that of p*."""
+    material, shares = Needle(0.006), []
+    for resolution in (8, 256):
         targets = Targets.build(material, Budget(pool=64, resolution=resolution), generator(3))
         apart = (targets.wo + targets.condition[:, None]).norm(dim=-1)
-        shares[resolution] = (targets.mass * (apart < 3 * material.width)).sum(1).double()
-    assert torch.equal(shares[8], shares[64])
+        shares.append((targets.mass * (apart < 3 * material.width)).sum(1).double())
+        _cache.clear()
+    assert torch.equal(*shares)
     exact = 0.5 * (1 - math.exp(-4.5)) + 0.5 * (3 * material.width) ** 2
-    for share in shares.values():
-        assert abs(float(share.mean()) - exact) < 5 * float(share.std()) / 8
-        assert float(share.std()) < 0.05
+    assert abs(float(shares[0].mean()) - exact) < 5 * float(shares[0].std()) / 8
+    assert float(shares[0].std()) < 0.05
 
 
 def test_cells_cover_the_square():

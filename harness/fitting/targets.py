@@ -22,7 +22,7 @@ _ROWS = 1 << 22
 _AT_A_TIME = 1 << 18
 """Cells or directions in hand while directions are drawn: what is not kept stays small."""
 LOOK = 32
-"""Cells a side of the first look at p*, at the least."""
+"""Cells a side of the first look at p*."""
 DIRECTIONS = 1024
 """Drawn for each condition, at the least."""
 
@@ -76,16 +76,15 @@ class Targets:
             InputError: no condition of the pool reflects anything.
         """
         count = max(DIRECTIONS, 4 * budget.directions)
-        side = _side(budget.resolution)
-        key = (id(material), budget.pool, side, count, budget.device)
+        key = (id(material), budget.pool, count, budget.device)
         seed = int(torch.randint(1 << 62, (), generator=generator))
         if (key, seed) not in _cache:
             start = time.perf_counter()
             own = torch.Generator().manual_seed(seed)
             condition = material.conditions(budget.pool, own, budget.device)
             found = []
-            for rows in condition.split(max(1, _AT_A_TIME // max(side * side, count))):
-                found.append(_drawn(material, rows, side, count, own))
+            for rows in condition.split(max(1, _AT_A_TIME // count)):
+                found.append(_drawn(material, rows, count, own))
             wo, value, area = (torch.cat(parts) for parts in zip(*found, strict=True))
             mass = value * area
             whole = mass.isfinite().all(1)
@@ -149,16 +148,8 @@ class Targets:
 _cache: OrderedDict = OrderedDict()
 
 
-def _side(resolution: int) -> int:
-    """Cells a side of the first look: half of a budget's resolution, even, at least ``LOOK``.
-
-    A quarter of resolution^2 evaluations; cutting and drawing take as many as the rest of 64^2.
-    """
-    return max(LOOK, resolution // 4 * 2)
-
-
 def _drawn(
-    material: Material, condition: Tensor, side: int, count: int, generator: torch.Generator
+    material: Material, condition: Tensor, count: int, generator: torch.Generator
 ) -> tuple[Tensor, Tensor, Tensor]:
     """``count`` directions [N, M, 2], target there [N, M] and area of the disk [N, M]."""
 
@@ -167,7 +158,7 @@ def _drawn(
 
     mirrored = -condition[:, None, -2:]
     peaks = torch.cat([mirrored, material.peaks(condition)], 1)
-    tree = Quadtree.build(target, len(condition), side, disk_to_square(peaks), generator)
+    tree = Quadtree.build(target, len(condition), LOOK, disk_to_square(peaks), generator)
     point, area = tree.draw(count, generator)
     wo = square_to_disk(point)
     return wo, material.target_grid(condition, wo), area * math.pi

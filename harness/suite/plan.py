@@ -282,6 +282,10 @@ class _Expansion:
                 kept = {method.knob} if label == method.swept_from else set()
                 change = self.profile.override[label].budget.given()
                 given |= {k: v for k, v in change.items() if BUDGET + k not in kept}
+        if "seconds" in given and "until" in given:
+            raise InputError(
+                f"methods: the budget of '{method.label}' has both seconds and until; expected one"
+            )
         return Budget(**given, device=self.device)
 
 

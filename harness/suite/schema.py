@@ -26,6 +26,8 @@ class BudgetSpec(Strict):
     resolution: Positive | None = None
     pool: Positive | None = None
     max_seconds: Annotated[float, Field(gt=0)] | None = None
+    seconds: Annotated[float, Field(gt=0)] | None = None
+    until: Annotated[float, Field(gt=0, lt=1)] | None = None
 
     def given(self) -> dict[str, Any]:
         """The entries that are set."""
@@ -42,8 +44,9 @@ class Override(Strict):
 class MethodSpec(Override):
     """A method of the suite; ``label`` is what tables call it and must be unique.
 
-    ``measures`` are those that are taken of it, by default all of the suite's. ``sweep`` makes several of it (:mod:`harness.suite.sweep`): values by knob, or ``knobs``
-    for all that the adapter declares.
+    ``measures`` are those that are taken of it, by default all of the suite's. ``sweep`` makes
+    several of it (:mod:`harness.suite.sweep`): values by knob, or ``knobs`` for all that the
+    adapter declares.
     """
 
     name: str

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 from abc import ABC, abstractmethod
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar, NamedTuple
 
 import torch
@@ -45,10 +45,15 @@ class Budget:
     """How much a fit may spend.
 
     ``steps`` optimiser steps of ``conditions`` conditions times ``directions`` directions,
-    drawn from p* of a pool of ``pool`` conditions. ``resolution`` says how closely p* is looked
-    at for its peaks, ``resolution``^2 evaluations a condition and 64^2 at the least; what is drawn
-    is as sharp as the material whatever it says. ``max_seconds`` is a limit, not a goal: a fit
-    that passes it ends as a trial of status ``timeout``.
+    drawn from p* of a pool of ``pool`` conditions. What is drawn is as sharp as the material;
+    ``resolution``, of tables that an adapter may make for itself, has no influence on it.
+    ``max_seconds`` is a limit, not a goal: a fit that passes it ends as a trial of status
+    ``timeout``.
+
+    ``seconds`` replaces ``steps``: the fit takes as many steps as it can in that time, what its
+    data take included, and ends with what it has. ``until`` makes ``steps`` a beginning: fits of
+    twice the steps follow until the KL on held-out conditions moves by less than that share
+    (:mod:`harness.fitting.until`). Not both.
     """
 
     steps: int = 1000
@@ -58,6 +63,14 @@ class Budget:
     pool: int = 4096
     device: str = "cpu"
     max_seconds: float = float("inf")
+    seconds: float | None = None
+    until: float | None = None
+
+    def less(self, seconds: float, parts: int = 1) -> Budget:
+        """What is left for each of so many ``parts`` when ``seconds`` of the time are spent."""
+        if self.seconds is None:
+            return self
+        return replace(self, seconds=max(0.0, self.seconds - seconds) / parts)
 
 
 @dataclass
@@ -74,6 +87,8 @@ class FitReport:
     """Of turning what was fitted into the tables that are sampled, where a method does."""
     part_seconds: list[float] = field(default_factory=list)
     """Of equal parts of the optimisation, in order: how steadily it went on."""
+    validation: list[tuple[int, float]] = field(default_factory=list)
+    """Steps of each fit of a budget with ``until``, and its KL on held-out conditions."""
 
 
 @dataclass(frozen=True)
@@ -105,6 +120,10 @@ class Method(ABC):
 
     knobs: ClassVar[tuple[Knob, ...]] = ()
     """What trades this method's accuracy for time; swept one at a time by ``sweep: knobs``."""
+
+    forms: ClassVar[dict[str, tuple[Any, ...]]] = {}
+    """Other parameters with values that each may be the best one somewhere, the default among
+    them; ``harness tune`` chooses among these and the knobs."""
 
     exact_pdf: bool = True
     """Whether :meth:`pdf` is the density of :meth:`sample`. Where it only approximates it, as
