@@ -103,7 +103,7 @@ def _by_time(seconds: float, start: float) -> Callable[[int], float | None]:
     """The same over the ``seconds`` after ``start``, of a clock that is asked at every step."""
 
     def rate(step: int) -> float | None:
-        done = (time.perf_counter() - start) / seconds if seconds > 0 else 1.0
+        done = (time.perf_counter() - start) / seconds
         if done >= 1:
             return None
         # The first step is taken at no time at all.

@@ -276,17 +276,27 @@ class _Expansion:
 
         As with parameters, the override of a swept method reaches its variants.
         """
-        given = self.suite.budget.given() | self.profile.budget.given() | method.budget.given()
+        layers = [self.suite.budget, self.profile.budget, method.budget]
+        given: dict[str, Any] = {}
+        for layer in layers:
+            given = _over(given, layer.given(), method.label)
         for label in (method.swept_from, method.label):
             if label in self.profile.override:
                 kept = {method.knob} if label == method.swept_from else set()
                 change = self.profile.override[label].budget.given()
-                given |= {k: v for k, v in change.items() if BUDGET + k not in kept}
-        if "seconds" in given and "until" in given:
-            raise InputError(
-                f"methods: the budget of '{method.label}' has both seconds and until; expected one"
-            )
+                change = {k: v for k, v in change.items() if BUDGET + k not in kept}
+                given = _over(given, change, method.label)
         return Budget(**given, device=self.device)
+
+
+def _over(given: dict[str, Any], change: dict[str, Any], label: str) -> dict[str, Any]:
+    """A budget and what a closer place says of it: one of ``seconds`` and ``until`` ends a fit."""
+    ends = {"seconds", "until"}
+    if ends <= set(change):
+        raise InputError(f"the budget of '{label}' has both seconds and until; expected one")
+    if ends & set(change):
+        given = {key: value for key, value in given.items() if key not in ends}
+    return given | change
 
 
 def _spec(item: NamedSpec) -> Any:

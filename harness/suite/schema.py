@@ -109,7 +109,8 @@ class Suite(Strict):
     """A whole suite: materials x methods x scenes x measures, tables and figures.
 
     ``training_seeds`` are of the fits, ``seeds`` of what is measured with each of them
-    (:mod:`harness.suite.seeds`).
+    (:mod:`harness.suite.seeds`). ``tuned`` is a file with parameters of the methods
+    (:mod:`harness.suite.tuned`).
     """
 
     name: Word
@@ -122,6 +123,7 @@ class Suite(Strict):
     training_seeds: Some[int] | None = None
     baseline: str | None = None
     resolution: Positive | None = None
+    tuned: str | None = None
     parameters: dict[str, bool | int | float | str] = {}
     budget: BudgetSpec = BudgetSpec()
     report: ReportSpec = ReportSpec()

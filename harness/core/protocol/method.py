@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 from harness.core.protocol.disk import inside_disk
+from harness.core.protocol.errors import BudgetExceeded
 from harness.core.protocol.material import Material
 
 
@@ -67,10 +68,18 @@ class Budget:
     until: float | None = None
 
     def less(self, seconds: float, parts: int = 1) -> Budget:
-        """What is left for each of so many ``parts`` when ``seconds`` of the time are spent."""
+        """What is left for each of so many ``parts`` when data took ``seconds`` of the time.
+
+        Raises:
+            BudgetExceeded: nothing is left.
+        """
         if self.seconds is None:
             return self
-        return replace(self, seconds=max(0.0, self.seconds - seconds) / parts)
+        if seconds >= self.seconds:
+            raise BudgetExceeded(
+                f"its data took {seconds:.3g} s of the {self.seconds:g} s that a fit has"
+            )
+        return replace(self, seconds=(self.seconds - seconds) / parts)
 
 
 @dataclass
@@ -120,10 +129,6 @@ class Method(ABC):
 
     knobs: ClassVar[tuple[Knob, ...]] = ()
     """What trades this method's accuracy for time; swept one at a time by ``sweep: knobs``."""
-
-    forms: ClassVar[dict[str, tuple[Any, ...]]] = {}
-    """Other parameters with values that each may be the best one somewhere, the default among
-    them; ``harness tune`` chooses among these and the knobs."""
 
     exact_pdf: bool = True
     """Whether :meth:`pdf` is the density of :meth:`sample`. Where it only approximates it, as
