@@ -46,7 +46,7 @@ def minimise(
     optimiser = torch.optim.Adam(
         module.parameters(), learning_rate, weight_decay=weight_decay, fused=True
     )
-    rate = _by_steps(budget.steps) if budget.seconds is None else _by_time(budget.seconds, start)
+    rate = _by_steps(budget.steps) if budget.seconds is None else _by_time(budget.seconds)
     history: list[float] = []
     limited = budget.seconds is not None
     every = EVERY if limited else max(1, budget.steps // 100)
@@ -99,8 +99,9 @@ def _by_steps(steps: int) -> Callable[[int], float | None]:
     return rate
 
 
-def _by_time(seconds: float, start: float) -> Callable[[int], float | None]:
-    """The same over the ``seconds`` after ``start``, of a clock that is asked at every step."""
+def _by_time(seconds: float) -> Callable[[int], float | None]:
+    """The same over ``seconds`` from now on, by a clock that is asked at every step."""
+    start = time.perf_counter()
 
     def rate(step: int) -> float | None:
         done = (time.perf_counter() - start) / seconds
