@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import time
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,7 +14,7 @@ from torch import Tensor, nn
 from harness.core.protocol.disk import disk_to_square, inside_disk
 from harness.core.protocol.errors import BudgetExceeded
 from harness.core.protocol.method import Budget
-from harness.fitting import until
+from harness.fitting import train, until
 from harness.fitting.targets import Targets, cells, tabulate
 from harness.fitting.train import minimise
 from harness.fitting.until import Validation, fit_until
@@ -218,25 +219,29 @@ def test_report_notes_black_conditions():
 # --- budgets of another kind -------------------------------------------------------------
 
 
-def test_budget_of_seconds():
-    """Ends in time with what it has, however many steps the budget names, rate going down to none.
+def test_budget_of_seconds(monkeypatch):
+    """Ends in time with what it has, however many steps the budget names, its rate down to none.
 
     What the targets took counts.
     """
-    table, rates = Table(), []
+    table, clock, moves = Table(), [5.0], []
+    monkeypatch.setattr(train, "time", SimpleNamespace(perf_counter=lambda: clock[0]))
 
     def loss() -> Tensor:
-        time.sleep(0.002)
-        rates.append(None)
-        return table.logits.square().sum()
+        clock[0] += 0.0101
+        moves.append(table.logits.detach().clone())
+        return table.logits.sum()
 
-    budget = Budget(steps=7, seconds=0.5)
+    budget = Budget(steps=7, seconds=1.0)
     report = minimise(table, loss, few(), budget)
-    assert 10 < report.steps == len(rates) < 250 and 0.5 <= report.optimise_seconds < 2
-    assert report.part_seconds == [] and len(report.loss) >= report.steps // 10
-    assert budget.less(0.2, 2).seconds == pytest.approx(0.15)
-    with pytest.raises(BudgetExceeded, match=r"took 0.6 s of the 0.5 s"):
-        budget.less(0.6)
+    assert report.steps == len(moves) == 100 and 1 <= report.optimise_seconds < 1.02
+    assert report.part_seconds == [] and len(report.loss) == 11
+    # Of a constant gradient, Adam moves by the rate.
+    rates = torch.stack(moves).diff(dim=0).abs().amax(1)
+    assert rates[5] > 0.9 * rates.max() and rates[-1] < 0.01 * rates.max()
+    assert budget.less(0.4, 2).seconds == pytest.approx(0.3)
+    with pytest.raises(BudgetExceeded, match=r"took 1.5 s of the 1 s"):
+        budget.less(1.5)
     assert BUDGET.less(3.0) is BUDGET
 
 
