@@ -46,8 +46,8 @@ CHANGING = (
     Edit("maps", "harness/importance_maps/slices.py", "area = share * (2 / self.resolution) ** 2",
          "area = share * (2.001 / self.resolution) ** 2"),
     # Training.
-    Edit("fit", "harness/fitting/train.py", "rise = max(1, budget.steps // 20)",
-         "rise = max(1, budget.steps // 21)"),
+    Edit("fit", "harness/fitting/train.py", "rise = max(1, steps // 20)",
+         "rise = max(1, steps // 21)"),
     Edit("fit", "harness/fitting/train.py", "weight_decay: float = 1e-5",
          "weight_decay: float = 2e-5"),
     Edit("fit", "harness/fitting/module_method.py", "learning_rate: ClassVar[float] = 5e-4",
