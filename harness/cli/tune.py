@@ -64,6 +64,7 @@ def register(app: typer.Typer) -> None:
             "seconds": seconds,
             "trials": trials,
             "materials": wanted,
+            "budget": {k: getattr(fits[0].budget, k) for k in ("conditions", "directions", "pool")},
             "machine": machine.describe(device)["machine"],
             "methods": {
                 method: {
@@ -75,5 +76,5 @@ def register(app: typer.Typer) -> None:
         }
         text = yaml.safe_dump(data, sort_keys=False, width=100, default_flow_style=None)
         target.parent.mkdir(parents=True, exist_ok=True)
-        write_text(target, f"# Written by: harness tune {suite}\n{text.rstrip()}")
+        write_text(target, f"# Written by: harness tune {plan.suite}\n{text.rstrip()}")
         typer.echo(f"{target}: the best of {trials} forms of {len(found)} methods")
