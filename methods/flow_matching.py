@@ -164,7 +164,7 @@ class FlowMatching(SteadyMethod, ColumnMethod):
         for i, phase in enumerate(phases):
             # The first takes what does not divide evenly.
             steps = budget.steps // len(phases) + (budget.steps % len(phases) if i == 0 else 0)
-            part = replace(budget, steps=steps)
+            part = replace(budget.less(targets.seconds, len(phases)), steps=steps)
             loss = self._loss_of(phase, targets, part, generator)
             reports.append(
                 minimise(

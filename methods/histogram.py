@@ -19,6 +19,7 @@ from harness.nets.mlp import split_rows
 from harness.nets.squares import Squares
 
 LOSSES = ("mse", "kl")
+FORMS = {"loss": LOSSES}
 _CHUNK = {"cpu": 1024}
 """Rows at a time: a row has a thousand outputs, and a thousand rows of them stay in cache."""
 _CHUNK_ELSEWHERE = 1 << 16

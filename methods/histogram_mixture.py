@@ -26,6 +26,7 @@ from harness.nets.lobes import softmax_columns
 from harness.nets.squares import Squares
 
 LOSSES = ("mse", "kl")
+FORMS = {"loss": LOSSES}
 ROTATIONS = ("azimuth", "free")
 
 

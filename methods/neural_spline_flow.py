@@ -22,6 +22,7 @@ from harness.nets.mlp import MLP
 
 _START = -0.7
 """Log sigma of the base before fitting: half the disk's radius, broad but mostly inside."""
+FORMS = {"domain": ("disk", "square"), "lambertian": (False, True), "uniform": (0.01, 0.03)}
 
 
 class SplineFlow(nn.Module):

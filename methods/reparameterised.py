@@ -24,6 +24,7 @@ from harness.nets.triangular import Conditioners
 BOUND = 6.0
 """Splines bend logistic points up to this size, 99.5 % of them, and leave the others."""
 OBJECTIVES = ("forward", "both")
+FORMS = {"objective": OBJECTIVES}
 
 
 class Reparameterised(FlowMethod):

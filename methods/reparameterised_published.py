@@ -160,10 +160,11 @@ class ReparameterisedPublished(ModuleMethod, ColumnMethod):
         pool = Pool.draw(material, budget, generator)
         self.module.to(budget.device).encoder.standardise(pool.condition)
         rates = {"learning_rate": self.learning_rate, "weight_decay": self.weight_decay}
+        half = budget.less(pool.seconds, 2)
         first = minimise(
-            self.module.map, lambda: self._map_loss(pool, budget, generator), pool, budget, **rates
+            self.module.map, lambda: self._map_loss(pool, budget, generator), pool, half, **rates
         )
-        left = replace(budget, max_seconds=budget.max_seconds - first.optimise_seconds)
+        left = replace(half, max_seconds=budget.max_seconds - first.optimise_seconds)
         second = minimise(
             self.module.density,
             lambda: self._density_loss(pool, budget, generator),

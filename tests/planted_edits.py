@@ -46,14 +46,14 @@ CHANGING = (
     Edit("maps", "harness/importance_maps/slices.py", "area = share * (2 / self.resolution) ** 2",
          "area = share * (2.001 / self.resolution) ** 2"),
     # Training.
-    Edit("fit", "harness/fitting/train.py", "rise = max(1, budget.steps // 20)",
-         "rise = max(1, budget.steps // 21)"),
+    Edit("fit", "harness/fitting/train.py", "rise = max(1, steps // 20)",
+         "rise = max(1, steps // 21)"),
     Edit("fit", "harness/fitting/train.py", "weight_decay: float = 1e-5",
          "weight_decay: float = 2e-5"),
     Edit("fit", "harness/fitting/module_method.py", "learning_rate: ClassVar[float] = 5e-4",
          "learning_rate: ClassVar[float] = 5.005e-4"),
-    Edit("fit", "harness/fitting/targets.py", "cdf, u[..., 0] * cdf[:, -1:], right",
-         "cdf, 0.999 * u[..., 0] * cdf[:, -1:], right"),
+    Edit("fit", "harness/fitting/targets.py", "cdf, u * cdf[:, -1:], right",
+         "cdf, 0.999 * u * cdf[:, -1:], right"),
     Edit("fit", "harness/nets/lobes.py", "_START = -1.0", "_START = -1.001"),
     # Evaluators.
     Edit("render", "harness/materials/library/suede.py", '"roughness": 0.95', '"roughness": 0.951'),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import time
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,9 +14,10 @@ from torch import Tensor, nn
 from harness.core.protocol.disk import disk_to_square, inside_disk
 from harness.core.protocol.errors import BudgetExceeded
 from harness.core.protocol.method import Budget
+from harness.fitting import train, until
 from harness.fitting.targets import Targets, cells, tabulate
 from harness.fitting.train import minimise
-from harness.stats.chisquare import chi_square
+from harness.fitting.until import Validation, fit_until
 from methods.improved_baseline import ImprovedBaseline
 from tests.materials import MATERIALS, HalfBlack, Plain, Tilted
 
@@ -86,129 +88,9 @@ def test_tables_in_pieces_are_the_same(monkeypatch):
         torch.testing.assert_close(tabulate(Plain(), condition, 8, generator(1)), whole[1])
 
 
-# --- targets ---------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("kind", MATERIALS)
-def test_mass_sums_to_one(kind):
-    """For every condition, in the units of the budget."""
-    targets = Targets.build(MATERIALS[kind](), BUDGET, generator())
-    assert targets.mass.shape == (64, 16, 16) and targets.resolution == 16
-    assert len(targets.condition) == 64 and targets.black == 0
-    torch.testing.assert_close(targets.mass.sum((1, 2)), torch.ones(64), rtol=1e-5, atol=0)
-    assert (targets.mass >= 0).all() and targets.seconds > 0
-
-
-def test_black_conditions_are_left_out():
-    """And counted; black directions have no mass."""
-    targets = Targets.build(HalfBlack(), BUDGET, generator())
-    assert 16 < targets.black < 48
-    assert len(targets.condition) == len(targets.mass) == 64 - targets.black
-    assert (targets.condition[:, 0] >= 0).all()
-    _, wo = targets.batch(16, 64, generator(1))
-    assert (wo[..., 0] > -1e-6).all()
-
-
-def test_methods_share_tables():
-    """Made once for equal generators; not for another seed, material or budget."""
-    material = Tilted()
-    first = Targets.build(material, BUDGET, generator())
-    assert Targets.build(material, BUDGET, generator()) is first
-    steps = Budget(**{**vars(BUDGET), "steps": 7})
-    assert Targets.build(material, steps, generator()) is first
-    other = Targets.build(material, BUDGET, generator(1))
-    assert not torch.equal(other.condition, first.condition)
-    assert Targets.build(Tilted(), BUDGET, generator()) is not other
-    again = Targets.build(material, BUDGET, generator())
-    assert again is not first and torch.equal(again.mass, first.mass)
-    finer = Targets.build(material, Budget(**{**vars(BUDGET), "resolution": 8}), generator())
-    assert finer.resolution == 8
-
-
-def test_generator_moves_on_alike():
-    """Whether the table was made or found."""
-    material, states = Tilted(), []
-    for _ in range(2):
-        own = generator(3)
-        Targets.build(material, BUDGET, own)
-        states.append(own.get_state())
-    assert torch.equal(*states)
-
-
-# --- draws -----------------------------------------------------------------------------
-
-
 def few() -> Targets:
     """Two conditions, so that each is drawn often."""
-    return Targets.build(Tilted(), Budget(resolution=16, pool=2), generator(5))
-
-
-def test_batch_follows_mass():
-    """Chi-square over the cells, and rows are drawn evenly."""
-    targets = few()
-    condition, wo = targets.batch(64, 2000, generator())
-    assert condition.shape == (64, 4) and wo.shape == (64, 2000, 2)
-    assert inside_disk(wo).all()
-    row = row_of(condition, targets.condition)
-    assert 16 < int(row.sum()) < 48
-    cell = cell_of(wo, 16)
-    for i in range(2):
-        observed = torch.bincount(cell[row == i].flatten(), minlength=256)
-        expected = targets.mass[i].flatten().double() * int((row == i).sum()) * 2000
-        assert chi_square(observed, expected / expected.sum() * observed.sum()).p_value > 1e-3
-
-
-def test_batch_fills_its_cells():
-    """Directions are uniform within a cell."""
-    _, wo = few().batch(64, 2000, generator(1))
-    within = (disk_to_square(wo.double()) * 16 % 1).view(-1, 2)
-    observed = np.histogram2d(*within.T.numpy(), bins=8, range=[[0, 1], [0, 1]])[0]
-    assert chi_square(observed, np.full(64, len(within) / 64)).p_value > 1e-3
-
-
-def test_uniform_density():
-    """Directions are uniform; the density is the table's at them, and integrates to one."""
-    targets = few()
-    condition, wo, density = targets.uniform(64, 2000, generator())
-    assert wo.shape == (64, 2000, 2) and density.shape == (64, 2000)
-    cell = cell_of(wo, 16)
-    observed = torch.bincount(cell.flatten(), minlength=256)
-    assert chi_square(observed, np.full(256, 500.0)).p_value > 1e-3
-    row = row_of(condition, targets.condition)
-    mass = targets.mass.flatten(1)[row].gather(1, cell)
-    # A point on the border of two cells may round into the other.
-    same = (density - mass * (256 / math.pi)).abs() <= 1e-5 * density
-    assert same.double().mean() > 0.9999
-    integral = density.double().mean(1) * math.pi
-    error = density.double().std(1) * math.pi / math.sqrt(2000)
-    assert ((integral - 1).abs() < 5 * error).all()
-
-
-def test_mixed_draws_have_the_expectation_of_uniform_ones():
-    """Weighted means of p* agree with the sum over its cells."""
-    targets = few()
-    condition, wo, density, weight = targets.mixed(64, 2000, generator())
-    assert inside_disk(wo).all()
-    row = row_of(condition, targets.condition)
-    mass = targets.mass.flatten(1).double()[row]
-    torch.testing.assert_close(
-        weight.double().mean(), torch.tensor(1.0).double(), rtol=0, atol=0.02
-    )
-    for function in (lambda p: p, lambda p: p.square()):
-        found = (weight * function(density)).double().mean(1)
-        exact = function(mass * (256 / math.pi)).mean(1)
-        # Weights are at most two, so 2000 draws are normal enough.
-        error = (weight * function(density)).double().std(1) / math.sqrt(2000)
-        assert ((found - exact).abs() < 5 * error).all()
-
-
-def test_draws_depend_on_the_generator_alone():
-    """Equal generators, equal draws."""
-    targets = few()
-    for draw in (targets.batch, targets.uniform, targets.mixed):
-        first, same, other = (draw(4, 6, generator(s)) for s in (0, 0, 1))
-        assert all(torch.equal(a, b) for a, b in zip(first, same, strict=True))
-        assert not torch.equal(first[1], other[1])
+    return Targets.build(Tilted(), Budget(pool=2), generator(5))
 
 
 # --- the training loop -----------------------------------------------------------------
@@ -246,8 +128,9 @@ def fit(targets: Targets, budget: Budget, seed: int = 0) -> tuple[Table, list[fl
 
 def test_fit_reaches_the_target():
     """Of one condition: KL falls to a small part of the uniform density's, and so does the loss."""
-    targets = Targets.build(Plain(), Budget(resolution=16, pool=1), generator(2))
-    mass = targets.mass[0].flatten().double()
+    targets = Targets.build(Plain(), Budget(pool=1), generator(2))
+    mass = tabulate(Plain(), targets.condition, 64)[0].double()
+    mass = mass.view(16, 4, 16, 4).sum((1, 3)).flatten() / mass.sum()
 
     def kl(table: Table) -> float:
         log_mass = torch.log_softmax(table.logits.detach().double(), 0)
@@ -331,3 +214,55 @@ def test_report_notes_black_conditions():
     report = method.fit(HalfBlack(), BUDGET, generator())
     assert "black conditions left out" in report.notes
     assert len(report.loss) == 30 and np.isfinite(report.loss).all()
+
+
+# --- budgets of another kind -------------------------------------------------------------
+
+
+def test_budget_of_seconds(monkeypatch):
+    """Ends in time with what it has, however many steps the budget names, its rate down to none.
+
+    What the targets took counts.
+    """
+    table, clock, moves = Table(), [5.0], []
+    monkeypatch.setattr(train, "time", SimpleNamespace(perf_counter=lambda: clock[0]))
+
+    def loss() -> Tensor:
+        clock[0] += 0.0101
+        moves.append(table.logits.detach().clone())
+        return table.logits.sum()
+
+    budget = Budget(steps=7, seconds=1.0)
+    report = minimise(table, loss, few(), budget)
+    assert report.steps == len(moves) == 100 and 1 <= report.optimise_seconds < 1.02
+    assert report.part_seconds == [] and len(report.loss) == 11
+    # Of a constant gradient, Adam moves by the rate.
+    rates = torch.stack(moves).diff(dim=0).abs().amax(1)
+    assert rates[5] > 0.9 * rates.max() and rates[-1] < 0.01 * rates.max()
+    assert budget.less(0.4, 2).seconds == pytest.approx(0.3)
+    with pytest.raises(BudgetExceeded, match=r"took 1.5 s of the 1 s"):
+        budget.less(1.5)
+    assert BUDGET.less(3.0) is BUDGET
+
+
+def test_fit_until_it_is_converged():
+    """Steps are doubled until KL on conditions held out moves by less; the last fit is kept."""
+    budget = Budget(steps=10, conditions=32, directions=16, pool=64, until=0.2)
+    method, report = fit_until(lambda: ImprovedBaseline(8, 1), Tilted(), budget, generator())
+    steps, kl = zip(*report.validation, strict=True)
+    assert steps == tuple(10 << i for i in range(len(steps))) and report.steps == steps[-1]
+    moves = [abs(a - b) / b for a, b in zip(kl, kl[1:], strict=False)]
+    assert moves[-1] <= 0.2 and all(move > 0.2 for move in moves[:-1])
+    assert Validation(Tilted()).kl(method) == kl[-1]
+    plain = ImprovedBaseline(8, 1)
+    plain.fit(Tilted(), Budget(**{**vars(budget), "steps": steps[-1], "until": None}), generator())
+    for name, value in plain.state_dict().items():
+        assert torch.equal(value, method.state_dict()[name])
+
+
+def test_fit_that_does_not_converge(monkeypatch):
+    """Says by how much KL still moves."""
+    monkeypatch.setattr(until, "DOUBLINGS", 1)
+    budget = Budget(steps=5, conditions=16, directions=8, pool=64, until=1e-6)
+    with pytest.raises(BudgetExceeded, match=r"moves by [\d.]+% from 5 to 10 steps"):
+        fit_until(lambda: ImprovedBaseline(8, 1), Tilted(), budget, generator())

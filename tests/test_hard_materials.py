@@ -142,11 +142,11 @@ def test_the_grid_is_the_target(name):
 
 
 @each
-def test_targets_can_be_tabulated(name):
-    """The budget of a check gives normalised tables; black conditions are left out."""
+def test_targets_can_be_drawn(name):
+    """The budget of a check gives normalised weights; black conditions are left out."""
     targets = Targets.build(registry.make(name), BUDGET, torch.Generator().manual_seed(3))
     assert targets.mass.isfinite().all() and len(targets.condition) + targets.black == 256
-    torch.testing.assert_close(targets.mass.sum((1, 2)), torch.ones(len(targets.mass)))
+    torch.testing.assert_close(targets.mass.sum(1), torch.ones(len(targets.mass)))
     assert (targets.black > 0) == (name == "black-texels")
 
 

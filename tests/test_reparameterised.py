@@ -24,7 +24,6 @@ from harness.materials import registry as materials
 from harness.nets import hemisphere, plane, spline
 from harness.nets.mlp import MLP
 from harness.nets.tangents import slopes_by_last, slopes_by_last_columns
-from harness.stats.chisquare import chi_square
 from tests.materials import HalfBlack, Plain, Tilted
 
 TILTED = Tilted()
@@ -172,23 +171,15 @@ def test_refused_parameters(params, words):
         registry.make("reparameterised", **params)
 
 
-def test_drawn_directions_follow_the_table_in_every_group():
-    targets = Targets.build(TILTED, Budget(pool=4, resolution=16), rng(13))
+def test_drawn_directions_follow_their_mass():
+    targets = Targets.build(TILTED, Budget(pool=4), rng(13))
     drawn = Drawn(targets, 256, rng(14))
     assert drawn.wo.shape == (4, GROUPS, 256, 2) and inside_disk(drawn.wo).all()
-    from harness.core.protocol.disk import disk_to_square
-
-    for mass, wo in zip(targets.mass, drawn.wo, strict=True):
-        cell = (disk_to_square(wo) * 16).long().clamp(0, 15)
-        flat = cell[..., 0] * 16 + cell[..., 1]
-        observed = torch.bincount(flat.flatten(), minlength=256).double().numpy()
-        expected = mass.flatten().double().numpy() * wo[..., 0].numel()
-        # Stratified: no cell is off by more than a few, where independent draws would be.
-        assert (np.abs(observed - expected) <= 2.5 + 0.05 * np.sqrt(expected)).all()
-        one = torch.bincount(flat[0], minlength=256).double().numpy()
-        assert chi_square(one, expected / GROUPS).p_value > 1e-4
-    condition, wo = drawn.batch(7, rng(15))
-    assert condition.shape == (7, 4) and wo.shape == (7, 256, 2)
+    for mass, wo, found in zip(targets.mass, targets.wo, drawn.wo, strict=True):
+        same = torch.cdist(wo.double(), found.flatten(0, 1).double()) == 0
+        observed, expected = same.sum(1).double(), mass.double() * GROUPS * 256
+        # Stratified: no direction is off by more than two, where independent draws would be.
+        assert ((observed - expected).abs() <= 2 + 1e-3 * expected).all()
 
 
 def test_uniforms_are_in_their_cells():

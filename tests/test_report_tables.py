@@ -155,7 +155,7 @@ def test_two_scenes_and_two_seeds(tmp_path: Path):
     ).write(tmp_path)
     table = table_of(folder, "table2")
     assert [s.title for s in table.sections][:2] == ["studio-sphere", "patch"]
-    assert "2 seeds" in table.caption
+    assert "2 training seeds" in table.caption
     timing = table_of(folder, "timing")
     assert "ms per spp patch" in timing.columns
 

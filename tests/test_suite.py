@@ -367,3 +367,26 @@ def test_files_are_found_beside_the_suite(tmp_path: Path, monkeypatch: pytest.Mo
 def test_plan_needs_no_mitsuba_for_fakes(tmp_path: Path):
     # The product is made from descriptions; nothing is constructed.
     assert planning.make_plan(load(fakes.suite(tmp_path))).trials
+
+
+# --- measures of one method alone --------------------------------------------------------------
+
+
+def test_measures_of_a_method(tmp_path: Path):
+    """The others are taken of it too, or of no method; the baseline has all."""
+    coarse = {"name": "adapters.py:Named", "label": "coarse", "measures": ["probe"]}
+    plan = plan_of(tmp_path, methods=["adapters.py:Good", coarse], baseline=None)
+    assert {t.measure for t in plan.trials if t.method == "coarse"} == {"fit", "probe"}
+    assert {t.measure for t in plan.trials if t.method == "Good"} == {"fit", "probe", "clock"}
+    assert plan.baseline == "Good"
+    coarse["measures"] = ["prob"]
+    assert refused(tmp_path, methods=["adapters.py:Good", coarse], baseline=None) == (
+        ": methods[1].measures: 'prob' is no measure of this suite; did you mean 'probe'?"
+    )
+    coarse["measures"] = ["probe"]
+    assert ": baseline: 'coarse' has measures of its own" in refused(
+        tmp_path, methods=["adapters.py:Good", coarse], baseline="coarse"
+    )
+    assert "methods: all of them have measures of their own" in refused(
+        tmp_path, methods=[coarse], baseline=None
+    )

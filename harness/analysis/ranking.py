@@ -130,7 +130,7 @@ def _mean(found: list[Measured]) -> NDArray:
 
 
 def _measured(results: Results, material: str, method: str, scene: str) -> list[Measured] | str:
-    """One for each seed with a number, or why there is none."""
+    """One for each training seed with a number, or why there is none."""
     rows = [
         row
         for row in results.rows(MEASURE, material, method, scene)
@@ -139,7 +139,20 @@ def _measured(results: Results, material: str, method: str, scene: str) -> list[
     if not rows:
         number = results.number(MEASURE, METRIC, material, method, scene)
         return number if isinstance(number, str) else f"a speed-up of {number.value:g}"
-    return [_one(results, row, method == results.baseline) for row in rows]
+    fits: dict[int, list[Measured]] = {}
+    for row in rows:
+        one = _one(results, row, method == results.baseline)
+        fits.setdefault(results.training.get(row["trial"], row["seed"]), []).append(one)
+    return [_of_one_fit(found) for found in fits.values()]
+
+
+def _of_one_fit(found: list[Measured]) -> Measured:
+    """Over the seeds that one fit is measured with, which are independent."""
+    return Measured(
+        float(np.mean([one.log for one in found])),
+        math.hypot(*(one.error for one in found)) / len(found),
+        np.mean([one.draws for one in found], axis=0),
+    )
 
 
 def _one(results: Results, row: dict, baseline: bool) -> Measured:

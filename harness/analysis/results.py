@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -13,9 +13,10 @@ from typing import Any, TypeVar
 import numpy as np
 import pandas as pd
 
-from harness.analysis.combine import Estimate, over_seeds
+from harness.analysis.combine import Estimate
 from harness.analysis.process_pooling import joined
 from harness.analysis.renew import renewed
+from harness.analysis.seeds import over_training_seeds, training_seeds
 from harness.analysis.validity import changed_files, stale
 from harness.store.damage import damage
 from harness.store.folder import ResultsFolder
@@ -151,7 +152,7 @@ class Results:
         ]
         if not found:
             return _why(rows, measure, metric)
-        number = over_seeds([_estimate(row) for row in found])
+        number = over_training_seeds(self._by_training(found))
         old = next((str(row["reason"]) for row in found if row["status"] == STALE), "")
         if old:
             number = replace(number, note=old)
@@ -162,6 +163,16 @@ class Results:
             few = f"{len(good)} of {len(seeds)} seeds only; {lost}"
             return replace(number, note="; ".join(filter(None, (number.note, few))))
         return number
+
+    def by_training(
+        self, measure: str, metric: str, material: str, method: str, scene: str = ""
+    ) -> dict[int, list[Estimate]]:
+        """The numbers by the seed of the fit that they were measured with."""
+        return self._by_training(
+            row
+            for row in self.rows(measure, material, method, scene)
+            if row["metric"] == metric and row["status"] in SHOWN and not math.isnan(row["value"])
+        )
 
     def why_missing(self, measure: str, material: str, method: str, scene: str = "") -> str:
         """Why there is no such trial that ended well."""
@@ -216,6 +227,11 @@ class Results:
             self._made[function, at] = function(self, *at)
         return self._made[function, at]
 
+    @cached_property
+    def training(self) -> dict[str, int]:
+        """The training seed of every planned trial."""
+        return training_seeds(self.plan["trials"])
+
     # --- inside ------------------------------------------------------------------------------
 
     @property
@@ -235,6 +251,14 @@ class Results:
                 for method in (row["method"], None):
                     index.setdefault((row["measure"], material, method), []).append(row)
         return index
+
+    def _by_training(self, rows: Iterable[dict[str, Any]]) -> dict[int, list[Estimate]]:
+        found: dict[int, list[Estimate]] = {}
+        for row in rows:
+            # Trials of earlier plans, which are shown on request, stand for themselves.
+            seed = self.training.get(row["trial"], row["seed"])
+            found.setdefault(seed, []).append(_estimate(row))
+        return found
 
     def _values(self, column: str) -> list[str]:
         return list(dict.fromkeys(self.frame[column]))

@@ -132,11 +132,13 @@ def _entry(case: dict[str, Any]) -> Entry:
 
 def _without_findings(results: Results, material: str, method: str) -> Iterable[Entry]:
     """An entry for each seed whose trial, or the fit that it needs, did not end well."""
-    fits = {row["seed"]: row for row in results.rows("fit", material, method)}
+    fits = {
+        results.training[row["trial"]]: row for row in results.rows("fit", material, method)
+    }
     for row in results.rows(MEASURE, material, method):
         if row["status"] == "ok":
             continue
-        fit = fits.get(row["seed"])
+        fit = fits.get(results.training[row["trial"]])
         at_fault = fit if fit is not None and fit["status"] in _BROKEN else row
         reason = " ".join(str(at_fault["reason"]).split())
         verdict = "fail" if at_fault["status"] in _BROKEN else "skip"

@@ -10,7 +10,7 @@ from typing import Annotated
 import typer
 
 VERBS = (
-    *("run", "report", "status", "compare", "advise"),
+    *("run", "report", "status", "compare", "advise", "tune"),
     *("list", "check", "validate", "new", "doctor", "bench", "effects"),
     *("fit", "material", "bake"),
 )

@@ -73,7 +73,7 @@ class ModuleMethod(Method):
             self.module,
             lambda: self.loss(targets, budget, generator),
             targets,
-            budget,
+            budget.less(targets.seconds),
             learning_rate=self.learning_rate,
             weight_decay=self.weight_decay,
         )

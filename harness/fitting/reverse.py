@@ -38,6 +38,11 @@ class Pool:
     seconds: float
     black: int
 
+    @property
+    def notes(self) -> str:
+        """What was left out; empty if nothing."""
+        return f"{self.black} black conditions left out" if self.black else ""
+
     @classmethod
     def draw(cls, material: Material, budget: Budget, generator: torch.Generator) -> Pool:
         """``budget.pool`` random conditions of ``material``.

@@ -1,4 +1,4 @@
-"""The target density p*, tabulated for a pool of conditions."""
+"""Directions drawn from the target density p*, for a pool of conditions."""
 
 from __future__ import annotations
 
@@ -11,115 +11,171 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from harness.core.protocol.disk import square_to_disk
+from harness.core.protocol.disk import disk_to_square, square_to_disk
+from harness.core.protocol.errors import InputError
 from harness.core.protocol.material import Material
 from harness.core.protocol.method import Budget
+from harness.fitting.quadtree import Quadtree
 
 _ROWS = 1 << 22
 """Target evaluations per call to a material: 16 MB a column."""
+_AT_A_TIME = 1 << 18
+"""Cells or directions in hand while directions are drawn: what is not kept stays small."""
+LOOK = 32
+"""Cells a side of the first look at p*."""
+DIRECTIONS = 1024
+"""Drawn for each condition, at the least."""
 
 
 @dataclass
 class Targets:
-    """p* of P conditions as histograms over R x R equal-area cells of the disk.
+    r"""p* of P conditions as N weighted directions each, with its true value at them.
 
-    The cells are the images of a square grid under the concentric map, so all of them lie
-    inside the disk and have area pi / R^2: the rim is neither cut off nor counted twice.
-    ``condition`` [P, C]; ``mass`` [P, R, R], each summing to one. Each cell's value is
-    taken at one uniformly jittered point, which keeps the mean right for lobes narrower
-    than a cell. Conditions without any reflection (black) have no p* and are left out.
+    ``condition`` [P, C]; ``wo`` [P, N, 2] inside the disk; ``density`` [P, N] is p* at them per
+    disk area, from the material itself; ``area`` [P, N] the part of the disk that each stands for,
+    so that :math:`\int g \approx \sum_i a_i g(\omega_i)` without bias. ``density`` is scaled so
+    that ``mass``, their product, sums to one.
+
+    The directions are drawn where p* is (:mod:`harness.fitting.quadtree`), and drawing them again
+    in proportion to ``mass`` (sampling-importance resampling, Rubin 1987) gives directions of p*
+    itself: no cell blurs a peak, however narrow it is. Conditions without any reflection (black)
+    have no p* and are left out, and so are those where f is no number.
     """
 
     condition: Tensor
-    mass: Tensor
+    wo: Tensor
+    density: Tensor
+    area: Tensor
     seconds: float
-    black: int
+    black: int = 0
+    broken: int = 0
 
     @property
-    def resolution(self) -> int:
-        """R."""
-        return self.mass.shape[-1]
+    def mass(self) -> Tensor:
+        """[P, N]: with what probability a direction is drawn again."""
+        return self.density * self.area
+
+    @property
+    def notes(self) -> str:
+        """What was left out, and why; empty if nothing."""
+        said = []
+        if self.black:
+            said.append(f"{self.black} black conditions left out")
+        if self.broken:
+            said.append(f"{self.broken} conditions left out where f is not finite")
+        return "; ".join(said)
 
     @classmethod
     def build(cls, material: Material, budget: Budget, generator: torch.Generator) -> Targets:
-        """Tabulate p* of ``budget.pool`` random conditions of ``material``.
+        """Draw for ``budget.pool`` random conditions of ``material``.
 
-        The last tables made are kept: methods that fit the same material from the same
-        generator state share them.
+        The last ones made are kept: methods that fit the same material from the same generator
+        state share them.
+
+        Raises:
+            InputError: no condition of the pool reflects anything.
         """
-        key = (id(material), budget.pool, budget.resolution, budget.device)
+        count = max(DIRECTIONS, 4 * budget.directions)
+        key = (id(material), budget.pool, count, budget.device)
         seed = int(torch.randint(1 << 62, (), generator=generator))
         if (key, seed) not in _cache:
             start = time.perf_counter()
             own = torch.Generator().manual_seed(seed)
             condition = material.conditions(budget.pool, own, budget.device)
-            value = tabulate(material, condition, budget.resolution, own)
-            total = value.sum((1, 2), dtype=torch.float64)
+            found = []
+            for rows in condition.split(max(1, _AT_A_TIME // count)):
+                found.append(_drawn(material, rows, count, own))
+            wo, value, area = (torch.cat(parts) for parts in zip(*found, strict=True))
+            mass = value * area
+            whole = mass.isfinite().all(1)
+            total = torch.where(whole, mass.sum(1, dtype=torch.float64), 0)
             lit = total > 0
-            mass = (value[lit] / total[lit, None, None]).float()
+            broken = int((~whole).sum())
+            black = int((~lit).sum()) - broken
+            if not lit.any():
+                raise InputError(
+                    f"material '{material.name}': in none of {budget.pool} conditions is light"
+                    f" reflected ({black} are black, in {broken} f is not finite); expected some"
+                )
+            density = (value[lit] / total[lit, None]).float()
             seconds = time.perf_counter() - start
             _cache.clear()
-            # The material is kept beside its tables, so that its id stays its own.
+            # The material is kept beside its directions, so that its id stays its own.
             _cache[key, seed] = (
                 material,
-                cls(condition[lit], mass, seconds, int((~lit).sum())),
+                cls(condition[lit], wo[lit], density, area[lit], seconds, black, broken),
             )
         return _cache[key, seed][1]
 
     def batch(
         self, conditions: int, directions: int, generator: torch.Generator
     ) -> tuple[Tensor, Tensor]:
-        """Conditions [B, C] and directions [B, D, 2] drawn from their p*."""
-        row = torch.randint(len(self.condition), (conditions,), generator=generator)
-        row = row.to(self.mass.device)
-        n = self.resolution
-        mass = self.mass[row].flatten(1)
-        u = torch.rand(conditions, directions, 3, generator=generator).to(mass.device)
-        cdf = mass.cumsum(1)
-        # Scaled by the cdf's own end, so that rounding leaves no gap above it.
-        cell = torch.searchsorted(cdf, u[..., 0] * cdf[:, -1:], right=True)
-        cell = cell.clamp(max=n * n - 1)
-        corner = torch.stack([cell // n, cell % n], -1)
-        return self.condition[row], square_to_disk((corner + u[..., 1:]) / n)
+        """Conditions [B, C] and directions [B, D, 2] drawn from their p*.
 
-    def uniform(
-        self, conditions: int, directions: int, generator: torch.Generator
-    ) -> tuple[Tensor, Tensor, Tensor]:
-        """Conditions [B, C], uniform directions [B, D, 2] of the disk, and p* there [B, D]."""
-        row = torch.randint(len(self.condition), (conditions,), generator=generator)
-        row = row.to(self.mass.device)
-        n = self.resolution
-        u = torch.rand(conditions, directions, 2, generator=generator).to(self.mass.device)
-        cell = (u * n).long()
-        cell = cell[..., 0] * n + cell[..., 1]
-        density = self.mass[row].flatten(1).gather(1, cell) * (n * n / math.pi)
-        return self.condition[row], square_to_disk(u), density
+        Stratified: one of D equal parts of a condition's mass for each of its directions.
+        """
+        row = self._rows(conditions, generator)
+        which = resampled(self.density[row] * self.area[row], directions, generator)
+        return self.condition[row], self.wo[row].gather(1, pair(which))
 
     def mixed(
         self, conditions: int, directions: int, generator: torch.Generator
     ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        """As :meth:`uniform`, half of the directions drawn from p*, and weights [B, D].
+        """Conditions [B, C], directions [B, D, 2], p* there [B, D] and weights [B, D].
 
-        The weight is the uniform density over that of the mixture. Weighted means have the
-        expectation of :meth:`uniform`'s, with far less noise where p* is narrow.
+        Half of the directions are drawn from p*, half uniformly. The weight is the uniform density
+        over that of the mixture: weighted means have the expectation of uniform directions, with
+        far less noise where p* is narrow.
         """
+        row, half = self._rows(conditions, generator), (directions + 1) // 2
+        density, area = self.density[row], self.area[row]
+        which = torch.cat(
+            [
+                resampled(density * area, half, generator),
+                resampled(area, directions - half, generator),
+            ],
+            1,
+        )
+        density = density.gather(1, which)
+        weight = directions / (half * density * math.pi + (directions - half))
+        return self.condition[row], self.wo[row].gather(1, pair(which)), density, weight
+
+    def _rows(self, conditions: int, generator: torch.Generator) -> Tensor:
         row = torch.randint(len(self.condition), (conditions,), generator=generator)
-        row = row.to(self.mass.device)
-        n, half = self.resolution, (directions + 1) // 2
-        mass = self.mass[row].flatten(1)
-        u = torch.rand(conditions, directions, 3, generator=generator).to(mass.device)
-        cdf = mass.cumsum(1)
-        cell = torch.searchsorted(cdf, u[:, :half, 0] * cdf[:, -1:], right=True)
-        even = (u[:, half:, 0] * (n * n)).long()
-        cell = torch.cat([cell, even], 1).clamp(max=n * n - 1)
-        relative = mass.gather(1, cell) * (n * n)
-        weight = directions / (half * relative + (directions - half))
-        corner = torch.stack([cell // n, cell % n], -1)
-        wo = square_to_disk((corner + u[..., 1:]) / n)
-        return self.condition[row], wo, relative / math.pi, weight
+        return row.to(self.wo.device)
 
 
 _cache: OrderedDict = OrderedDict()
+
+
+def _drawn(
+    material: Material, condition: Tensor, count: int, generator: torch.Generator
+) -> tuple[Tensor, Tensor, Tensor]:
+    """``count`` directions [N, M, 2], target there [N, M] and area of the disk [N, M]."""
+
+    def target(point: Tensor) -> Tensor:
+        return material.target_grid(condition, square_to_disk(point))
+
+    mirrored = -condition[:, None, -2:]
+    peaks = torch.cat([mirrored, material.peaks(condition)], 1)
+    tree = Quadtree.build(target, len(condition), LOOK, disk_to_square(peaks), generator)
+    point, area = tree.draw(count, generator)
+    wo = square_to_disk(point)
+    return wo, material.target_grid(condition, wo), area * math.pi
+
+
+def resampled(mass: Tensor, count: int, generator: torch.Generator) -> Tensor:
+    """Columns [B, ``count``] of ``mass`` [B, N], each drawn in proportion to it; stratified."""
+    u = torch.rand(len(mass), count, generator=generator).to(mass.device)
+    u = (torch.arange(count, device=mass.device) + u) / count
+    cdf = mass.cumsum(1)
+    # Scaled by the cdf's own end, so that rounding leaves no gap above it.
+    return torch.searchsorted(cdf, u * cdf[:, -1:], right=True).clamp(max=mass.shape[1] - 1)
+
+
+def pair(which: Tensor) -> Tensor:
+    """Columns [B, D] as an index [B, D, 2] of directions."""
+    return which[..., None].expand(-1, -1, 2)
 
 
 def cells(resolution: int, jitter: Tensor | None = None, device: str = "cpu") -> Tensor:

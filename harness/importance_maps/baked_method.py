@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from abc import abstractmethod
 from pathlib import Path
 
@@ -55,11 +56,15 @@ class BakedMethod(SteadyMethod, ColumnMethod):
         batches = MapBatches(maps, budget.device)
         self.module.to(budget.device)
         self.meet(batches.condition)
-        left = [budget.steps]
+        budget = budget.less(batches.seconds)
+        left, start = [budget.steps], time.perf_counter()
 
         def loss() -> Tensor:
             left[0] -= 1
-            return self.baked_loss(batches, budget, generator, left[0] / budget.steps)
+            share = left[0] / budget.steps
+            if budget.seconds:
+                share = max(0.0, 1 - (time.perf_counter() - start) / budget.seconds)
+            return self.baked_loss(batches, budget, generator, share)
 
         report = minimise(
             self.module,

@@ -61,7 +61,8 @@ class MapBatches:
     def __init__(self, maps: Maps, device: str = "cpu"):
         self.condition = maps.condition.to(device)
         self.wo = maps.wo.to(device)
-        self.seconds, self.black = maps.seconds, maps.black
+        self.seconds = maps.seconds
+        self.notes = f"{maps.black} black conditions left out" if maps.black else ""
         share = torch.from_numpy(inner_share(maps.rgb.shape[1])).float().flatten()
         # What is off the disk is never asked for.
         self._share = torch.where(share > 0, share, 1).to(device)

@@ -10,6 +10,7 @@ import torch
 from harness.core.protocol.errors import Unsupported
 from harness.core.protocol.material import Material
 from harness.core.protocol.method import FitReport, Method
+from harness.fitting.until import fit_until
 from harness.measures.adapter_smoke_test import BadAdapter, smoke_test, state_of
 from harness.measures.base import Job, Measure, Outcome
 from harness.measures.compact import single
@@ -25,7 +26,8 @@ class Fit(Measure):
     Their intervals are of the optimisation alone: what the total would be if its parts were
     drawn anew from those seen. ``load-seconds`` is what a renderer waits for: from the state in
     memory to the first sample of a new method, so that a compilation counts here and never in
-    a steady-state figure.
+    a steady-state figure. ``steps``: of a fit that was limited by time or went on until it was
+    converged; then ``kl-moved`` is the last relative change of KL when the steps were doubled.
     """
 
     name = "fit"
@@ -42,7 +44,10 @@ class Fit(Measure):
         if not supported:
             raise Unsupported(reason or f"{method.name} does not support {material.name}")
         start = now(device)
-        report = method.fit(material, job.budget, job.generator)
+        if job.budget.until is None:
+            report = method.fit(material, job.budget, job.generator)
+        else:
+            method, report = fit_until(job.make, material, job.budget, job.generator)
         elapsed = now(device) - start
         if not isinstance(report, FitReport):
             kind = type(report).__name__
@@ -71,6 +76,10 @@ class Fit(Measure):
         for name, values in (("loss", report.loss), ("part_seconds", report.part_seconds)):
             if values:
                 arrays[name] = single(values)
+        if job.budget.until or job.budget.seconds:
+            arrays["steps"] = np.array(float(report.steps))
+        if report.validation:
+            arrays["validation"] = np.array(report.validation)
         return Outcome(arrays=arrays, tensors=state)
 
 

@@ -17,6 +17,7 @@ from harness.report.formats.latex import latex
 from harness.report.formats.markdown import markdown
 from harness.report.parts import parts
 from harness.report.table import Table
+from harness.report.unplanned import planned_only
 
 if TYPE_CHECKING:
     from harness.report.figures.canvas import Drawn
@@ -97,7 +98,7 @@ def _tables(results: Results) -> tuple[list[Table], list[str]]:
     for name in [*(n for n in names if n != "status"), "status"]:
         table = known[name].load()(results)
         if not isinstance(table, str):
-            tables.append(table)
+            tables.append(planned_only(table))
         elif results.wanted("tables") is not None:
             skipped.append(f"table {name}: {table}")
     return tables, skipped

@@ -129,7 +129,8 @@ class Prober:
 
     @staticmethod
     def _budget(trial: Trial) -> Budget:
-        return replace(trial.budget, steps=STEPS, conditions=8, directions=8, resolution=8, pool=16)
+        small = {"steps": STEPS, "conditions": 8, "directions": 8, "resolution": 8, "pool": 16}
+        return replace(trial.budget, **small, seconds=None, until=None)
 
     def _fitted(self, trial: Trial, material: Any) -> Arrays:
         """What the measure ``fit`` stores of a method that is trained for two steps."""

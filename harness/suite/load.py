@@ -16,6 +16,7 @@ from harness.core.yamlfile import parse_yaml, read_yaml
 from harness.suite.material_folders import spread
 from harness.suite.schema import MethodSpec, NamedSpec, Suite
 from harness.suite.sweep import expand
+from harness.suite.tuned import with_tuned
 
 SUITES = ROOT / "suites"
 LISTS = ("materials", "methods", "scenes", "measures")
@@ -58,8 +59,11 @@ def find(name: str | Path) -> Path:
     raise InputError(f"no such suite: {name}{nearest(path.name, known)}")
 
 
-def load(name: str | Path) -> Loaded:
-    """Read and check a suite. References to registries are resolved later, all at once."""
+def load(name: str | Path, tuned: bool = True) -> Loaded:
+    """Read and check a suite. References to registries are resolved later, all at once.
+
+    Without ``tuned``, parameters that are found by ``harness tune`` are left out.
+    """
     path = find(name)
     try:
         text = path.read_text(encoding="utf-8")
@@ -101,13 +105,16 @@ def load(name: str | Path) -> Loaded:
     for index, method in enumerate(suite.methods):
         _noted(mistakes, lambda i=index, m=method: _label(i, m, path.parent))
     if not mistakes:
-        _noted(mistakes, lambda: _finish(suite))
+        extra = path.parent / suite.tuned if tuned and suite.tuned else None
+        _noted(mistakes, lambda: _finish(suite, extra))
     if mistakes:
         raise Mistakes(f"{path}: {line}" for line in mistakes)
     return Loaded(suite, path, text)
 
 
-def _finish(suite: Suite) -> None:
+def _finish(suite: Suite, tuned: Path | None) -> None:
+    if tuned is not None:
+        suite.methods = with_tuned(suite.methods, tuned)
     suite.methods = expand(suite.methods)
     _give_parameters(suite)
     _check_references(suite)
@@ -204,12 +211,20 @@ def _check_references(suite: Suite) -> None:
         "scenes": [item.name for item in suite.scenes],
         "measures": [item.name for item in suite.measures],
         "seeds": suite.seeds,
+        "training_seeds": suite.training_seeds or [],
     }
+    for name, profile in suite.profiles.items():
+        for key in ("seeds", "training_seeds"):
+            labels[f"profiles.{name}.{key}"] = getattr(profile, key) or []
     for key, values in labels.items():
         for index, value in enumerate(values):
             if value in values[:index]:
                 more = "; give one of them another label" if key == "methods" else ""
                 raise InputError(f"{key}[{index}]: '{value}' is listed twice{more}")
+    for index, method in enumerate(suite.methods):
+        if method.measures is not None:
+            where = f"methods[{index}].measures"
+            _known(where, method.measures, labels["measures"], "measure of this suite")
     if suite.baseline is not None:
         _known("baseline", [suite.baseline], labels["methods"], "method of this suite")
     for name, profile in suite.profiles.items():

@@ -13,6 +13,7 @@ from harness.core.protocol.errors import InputError, nearest
 from harness.core.protocol.method import Budget
 from harness.identity.named_files import replaced
 from harness.measures import registry as measures
+from harness.suite import seeds
 from harness.suite.load import Loaded
 from harness.suite.resolve import Resolved
 from harness.suite.schema import MethodSpec, NamedSpec, Profile, Suite
@@ -93,11 +94,23 @@ def _profile(suite: Suite, name: str | None) -> tuple[str, Profile]:
 
 def _baseline(suite: Suite, profile: Profile) -> str:
     """The method that all others are compared with: as written, or the usual, or the first."""
-    labels = [m.label for m in _chosen(suite.methods, profile.methods)]
+    chosen = _chosen(suite.methods, profile.methods)
+    # What others are compared with is needed wherever they are measured.
+    whole = [m.label for m in chosen if m.measures is None]
     if suite.baseline is None:
-        return DEFAULT_BASELINE if DEFAULT_BASELINE in labels else labels[0]
-    if suite.baseline not in labels:
+        if not whole:
+            raise InputError(
+                "methods: all of them have measures of their own; expected one without,"
+                " which the others are compared with"
+            )
+        return DEFAULT_BASELINE if DEFAULT_BASELINE in whole else whole[0]
+    if suite.baseline not in [m.label for m in chosen]:
         raise InputError(f"baseline: '{suite.baseline}' is left out by the profile's methods")
+    if suite.baseline not in whole:
+        raise InputError(
+            f"baseline: '{suite.baseline}' has measures of its own; expected a method without,"
+            " which all measures are taken of"
+        )
     return suite.baseline
 
 
@@ -141,28 +154,36 @@ class _Expansion:
 
     def trials(self) -> list[Trial]:
         """Materials, then seeds, then methods; of each the fit, then its measures."""
-        found = []
+        found: dict[str, Trial] = {}
+        pairs = seeds.pairs(
+            self.profile.seeds or self.suite.seeds,
+            self.profile.training_seeds or self.suite.training_seeds,
+        )
         for material in _chosen(self.suite.materials, self.profile.materials):
-            for seed in self.profile.seeds or self.suite.seeds:
+            for training, seed in pairs:
                 for method in self.methods:
-                    found += self._of_method(material, seed, method)
-        return found
+                    # Of several seeds measured with one fit, that is planned once.
+                    for trial in self._of_method(material, training, seed, method):
+                        found.setdefault(f"{trial.hash} {trial.method}", trial)
+        return list(found.values())
 
-    def _of_method(self, material: NamedSpec, seed: int, method: MethodSpec) -> list[Trial]:
+    def _of_method(
+        self, material: NamedSpec, training: int, seed: int, method: MethodSpec
+    ) -> list[Trial]:
         """The fit of one method to one material, and all that is measured with it."""
         blank = Trial(
             hash="",
             identity={
                 "material": self.materials[material.name],
                 "method": self.described[method.label],
-                "seed": seed,
+                "seed": training,
             },
             suite=self.suite.name,
             material=material.name,
             method=method.label,
             scene="",
             measure="",
-            seed=seed,
+            seed=training,
             method_name=method.name,
             params=method.params,
             budget=self._budget(method),
@@ -171,9 +192,12 @@ class _Expansion:
         fit = self._trial(blank, FIT)
         found = [fit]
         for name in self.settings:
-            if name == FIT:
+            if name == FIT or (method.measures is not None and name not in method.measures):
                 continue
-            one = replace(blank, fit=fit.hash)
+            identity = blank.identity | {"seed": seed}
+            if seed != training:
+                identity["training_seed"] = training
+            one = replace(blank, fit=fit.hash, seed=seed, identity=identity)
             if not self.kinds[name].needs_scene:
                 found.append(self._trial(one, name))
                 continue
@@ -252,13 +276,27 @@ class _Expansion:
 
         As with parameters, the override of a swept method reaches its variants.
         """
-        given = self.suite.budget.given() | self.profile.budget.given() | method.budget.given()
+        layers = [self.suite.budget, self.profile.budget, method.budget]
+        given: dict[str, Any] = {}
+        for layer in layers:
+            given = _over(given, layer.given(), method.label)
         for label in (method.swept_from, method.label):
             if label in self.profile.override:
                 kept = {method.knob} if label == method.swept_from else set()
                 change = self.profile.override[label].budget.given()
-                given |= {k: v for k, v in change.items() if BUDGET + k not in kept}
+                change = {k: v for k, v in change.items() if BUDGET + k not in kept}
+                given = _over(given, change, method.label)
         return Budget(**given, device=self.device)
+
+
+def _over(given: dict[str, Any], change: dict[str, Any], label: str) -> dict[str, Any]:
+    """A budget and what a closer place says of it: one of ``seconds`` and ``until`` ends a fit."""
+    ends = {"seconds", "until"}
+    if ends <= set(change):
+        raise InputError(f"the budget of '{label}' has both seconds and until; expected one")
+    if ends & set(change):
+        given = {key: value for key, value in given.items() if key not in ends}
+    return given | change
 
 
 def _spec(item: NamedSpec) -> Any:

@@ -26,6 +26,8 @@ class BudgetSpec(Strict):
     resolution: Positive | None = None
     pool: Positive | None = None
     max_seconds: Annotated[float, Field(gt=0)] | None = None
+    seconds: Annotated[float, Field(gt=0)] | None = None
+    until: Annotated[float, Field(gt=0, lt=1)] | None = None
 
     def given(self) -> dict[str, Any]:
         """The entries that are set."""
@@ -42,12 +44,14 @@ class Override(Strict):
 class MethodSpec(Override):
     """A method of the suite; ``label`` is what tables call it and must be unique.
 
-    ``sweep`` makes several of it (:mod:`harness.suite.sweep`): values by knob, or ``knobs``
-    for all that the adapter declares.
+    ``measures`` are those that are taken of it, by default all of the suite's. ``sweep`` makes
+    several of it (:mod:`harness.suite.sweep`): values by knob, or ``knobs`` for all that the
+    adapter declares.
     """
 
     name: str
     label: str = ""
+    measures: Some[str] | None = None
     sweep: Any = None  # checked there, where the message can name the knobs
 
     _swept_from: str = PrivateAttr("")
@@ -94,6 +98,7 @@ class Profile(Strict):
     methods: Some[str] | None = None
     scenes: Some[str] | None = None
     seeds: Some[int] | None = None
+    training_seeds: Some[int] | None = None
     resolution: Positive | None = None
     budget: BudgetSpec = BudgetSpec()
     measures: dict[str, dict[str, Any]] = {}
@@ -101,7 +106,12 @@ class Profile(Strict):
 
 
 class Suite(Strict):
-    """A whole suite: materials x methods x scenes x measures, tables and figures."""
+    """A whole suite: materials x methods x scenes x measures, tables and figures.
+
+    ``training_seeds`` are of the fits, ``seeds`` of what is measured with each of them
+    (:mod:`harness.suite.seeds`). ``tuned`` is a file with parameters of the methods
+    (:mod:`harness.suite.tuned`).
+    """
 
     name: Word
     title: str = ""
@@ -110,8 +120,10 @@ class Suite(Strict):
     scenes: list[NamedSpec] = []
     measures: Some[NamedSpec]
     seeds: Some[int] = [0]
+    training_seeds: Some[int] | None = None
     baseline: str | None = None
     resolution: Positive | None = None
+    tuned: str | None = None
     parameters: dict[str, bool | int | float | str] = {}
     budget: BudgetSpec = BudgetSpec()
     report: ReportSpec = ReportSpec()

@@ -77,7 +77,11 @@ def stream_seed(measure: str, seed: int) -> int:
 
 def counted_budget(budget: Budget) -> dict[str, Any]:
     """The part of a budget that can change the numbers."""
-    return {k: v for k, v in vars(budget).items() if k not in UNCOUNTED_BUDGET}
+    return {
+        key: value
+        for key, value in vars(budget).items()
+        if key not in UNCOUNTED_BUDGET and value is not None
+    }
 
 
 def _plain(data: Any) -> Any:

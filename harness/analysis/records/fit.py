@@ -30,6 +30,11 @@ def numbers(raw: Raw) -> Numbers:
     ]
     if bake := raw.value("bake_seconds"):
         records.append(Record("bake-seconds", bake, unit="s"))
+    if "steps" in raw.arrays:
+        records.append(Record("steps", raw.value("steps"), unit="1"))
+    if "validation" in raw.arrays and len(raw.arrays["validation"]) > 1:
+        before, last = raw.floats("validation")[-2:, 1]
+        records.append(Record("kl-moved", float(abs(before - last) / abs(last)), unit="1"))
     if "loss" in raw.arrays:
         records.append(Record("final-loss", float(raw.arrays["loss"][-1]), unit="1"))
     return Numbers(records)

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import copy
 from abc import ABC, abstractmethod
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar, NamedTuple
 
 import torch
 from torch import Tensor
 
 from harness.core.protocol.disk import inside_disk
+from harness.core.protocol.errors import BudgetExceeded
 from harness.core.protocol.material import Material
 
 
@@ -44,10 +45,16 @@ class WeightedSample(NamedTuple):
 class Budget:
     """How much a fit may spend.
 
-    ``steps`` optimiser steps of ``conditions`` conditions times ``directions`` directions;
-    targets are tabulated on ``resolution`` x ``resolution`` equal-area cells of the disk for
-    a pool of ``pool`` conditions. ``max_seconds`` is a limit, not a goal: a fit that passes
-    it ends as a trial of status ``timeout``.
+    ``steps`` optimiser steps of ``conditions`` conditions times ``directions`` directions,
+    drawn from p* of a pool of ``pool`` conditions. What is drawn is as sharp as the material;
+    ``resolution``, of tables that an adapter may make for itself, has no influence on it.
+    ``max_seconds`` is a limit, not a goal: a fit that passes it ends as a trial of status
+    ``timeout``.
+
+    ``seconds`` replaces ``steps``: the fit takes as many steps as it can in that time, what its
+    data take included, and ends with what it has. ``until`` makes ``steps`` a beginning: fits of
+    twice the steps follow until the KL on held-out conditions moves by less than that share
+    (:mod:`harness.fitting.until`). Not both.
     """
 
     steps: int = 1000
@@ -57,6 +64,22 @@ class Budget:
     pool: int = 4096
     device: str = "cpu"
     max_seconds: float = float("inf")
+    seconds: float | None = None
+    until: float | None = None
+
+    def less(self, seconds: float, parts: int = 1) -> Budget:
+        """What is left for each of so many ``parts`` when data took ``seconds`` of the time.
+
+        Raises:
+            BudgetExceeded: nothing is left.
+        """
+        if self.seconds is None:
+            return self
+        if seconds >= self.seconds:
+            raise BudgetExceeded(
+                f"its data took {seconds:.3g} s of the {self.seconds:g} s that a fit has"
+            )
+        return replace(self, seconds=(self.seconds - seconds) / parts)
 
 
 @dataclass
@@ -73,6 +96,8 @@ class FitReport:
     """Of turning what was fitted into the tables that are sampled, where a method does."""
     part_seconds: list[float] = field(default_factory=list)
     """Of equal parts of the optimisation, in order: how steadily it went on."""
+    validation: list[tuple[int, float]] = field(default_factory=list)
+    """Steps of each fit of a budget with ``until``, and its KL on held-out conditions."""
 
 
 @dataclass(frozen=True)

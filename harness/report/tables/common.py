@@ -80,9 +80,13 @@ def legend(results: Results) -> list[str]:
 def circumstances(results: Results, measure: str, *counts: str, timed: bool = False) -> str:
     """Profile, seeds, counts and (for times) machine of a measure, as caption sentences."""
     said = [part for part in counts if part]
-    seeds = sorted(set(results.frame.loc[results.frame["measure"] == measure, "seed"]))
-    if len(seeds) > 1:
-        said.append(f"{len(seeds)} seeds")
+    rows = results.frame[results.frame["measure"] == measure]
+    seeds = len(set(rows["seed"]))
+    fits = len({results.training.get(trial, 0) for trial in rows["trial"]})
+    if fits > 1:
+        said.append(f"{fits} training seeds")
+    if seeds > fits:
+        said.append(f"{seeds} seeds")
     if results.profile:
         said.append(f"profile {results.profile}")
     text = "; ".join(said)
