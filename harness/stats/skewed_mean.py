@@ -13,8 +13,10 @@ from harness.stats.intervals import Interval, mean_interval
 from harness.stats.log_estimate import Seed
 from harness.stats.variance import WIDEST, Deviations, lower_bound, tail_interval
 
-LIGHT = 0.4
-"""Of some sixty values an index is known to a fifth or so: 1/2 would call many heavy tails light."""
+LIGHT = 0.3
+"""Of sixty values an index is known to a fifth or so: 1/2 would call many heavy tails light."""
+PRIOR = (0.45, 0.25)
+"""Of the index: some twenty values alone allow any, one without a mean too."""
 _SHARE = 0.34
 """Of the values, those that are the tail; of few values a fifth is too few to fit."""
 
@@ -47,7 +49,7 @@ def skewed_mean(x: ArrayLike, seed: Seed = 0) -> SkewedMean:
     k = tails.index(tails.Excesses.of(kept.largest, len(x)).values)
     if k < LIGHT:
         return SkewedMean(plain, "light", k)
-    wide = tail_interval(plain.value, kept).interval
+    wide = tail_interval(plain.value, kept, PRIOR).interval
     low, high = min(plain.low, wide.low), max(plain.high, wide.high)
     if high <= WIDEST * low:
         return SkewedMean(Interval(plain.value, low, high), "heavy", k)

@@ -27,6 +27,8 @@ LIGHT = 0.5
 """Index below which the numbers have a variance, and their mean a normal error."""
 FEWEST = 20
 """Fewest excesses to fit an index to."""
+ROUNDING = 1e-5
+"""Relative difference of numbers that are the same."""
 _PRIOR = 10.0
 _INDICES = np.concatenate([np.linspace(-1.0, -0.02, 25), np.linspace(0.02, 0.995, 60)])
 """Indices that a profile likelihood is taken over: below one, where there is a mean."""
@@ -42,11 +44,14 @@ class Excesses:
 
     @classmethod
     def of(cls, largest: ArrayLike, count: int) -> Excesses:
-        """Of the ``largest`` [M + 1] of ``count`` numbers: the smallest of them is the threshold."""
+        """Of the ``largest`` [M + 1] of ``count`` numbers; the smallest is the threshold."""
         ranked = np.sort(np.asarray(largest, float).ravel())
         if len(ranked) < 2 or not np.isfinite(ranked).all():
             raise ValueError("expected two finite numbers or more")
-        return cls(float(ranked[0]), ranked[1:] - ranked[0], int(count))
+        excess = ranked[1:] - ranked[0]
+        # Ties, but for rounding: numbers come from sums in single precision.
+        excess[excess < ROUNDING * abs(ranked[0])] = 0.0
+        return cls(float(ranked[0]), excess, int(count))
 
     @property
     def share(self) -> float:
@@ -108,17 +113,21 @@ class TailMean:
     high: float
 
 
-def mean_excess(excess: ArrayLike, level: float = 0.95) -> TailMean:
+def mean_excess(
+    excess: ArrayLike, level: float = 0.95, prior: tuple[float, float] | None = None
+) -> TailMean:
     """Mean of a generalised Pareto tail, with the interval of its profile likelihood.
 
-    The upper end is infinite where an index of one, which has no mean, fits well enough.
+    The upper end is very large where an index near one, which has no mean, fits well enough.
+    ``prior`` is the mean and deviation of a normal prior of the index, for tails of so few values
+    that any index fits.
     """
     x = np.asarray(excess, float).ravel()
     x = x[x > 0]
     plain = float(x.mean())
     # A grid around the plain mean, which underestimates that of a heavy tail.
     means = plain * np.exp(np.linspace(math.log(0.2), math.log(1e4), 161))
-    profile = _profile(x, means)
+    profile = _profile(x, means, prior)
     best = int(profile.argmax())
     inside = profile > profile[best] - stats.chi2.ppf(level, 1) / 2
     first, last = int(inside.argmax()), len(means) - 1 - int(inside[::-1].argmax())
@@ -127,7 +136,7 @@ def mean_excess(excess: ArrayLike, level: float = 0.95) -> TailMean:
     return TailMean(float(means[best]), low, high)
 
 
-def _profile(x: NDArray, means: NDArray) -> NDArray:
+def _profile(x: NDArray, means: NDArray, prior: tuple[float, float] | None) -> NDArray:
     """Largest log likelihood of x [M] with each of ``means`` [K], over the index."""
     sigma = means[:, None] * (1 - _INDICES)
     ratio = _INDICES / sigma
@@ -137,6 +146,8 @@ def _profile(x: NDArray, means: NDArray) -> NDArray:
     terms = np.log1p(ratio[ok][:, None] * x).sum(1)
     k = np.broadcast_to(_INDICES, sigma.shape)[ok]
     found[ok] = -len(x) * np.log(sigma[ok]) - (1 + 1 / k) * terms
+    if prior is not None:
+        found[ok] -= np.square((k - prior[0]) / prior[1]) / 2
     return found.max(1)
 
 

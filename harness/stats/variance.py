@@ -20,7 +20,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -31,6 +31,8 @@ from harness.stats.log_interval import Z95, LogInterval
 
 WIDEST = 10.0
 """Ends of an interval that are further apart, as a factor, are printed as no number."""
+RESOLVED = ("light", "heavy")
+"""Classes of tails whose variance has two ends."""
 STRANGER = 1e-3
 """Probability of as large a largest deviation, below which it is of another kind."""
 
@@ -128,6 +130,47 @@ def diagnosed(value: float, d: Deviations) -> Variance:
     return Variance(value, log, "heavy", k)
 
 
+def less(second: Variance, square: float, error: float) -> Variance:
+    """Of a second moment and the ``square`` of the mean, of standard error ``error``: the variance.
+
+    Not diagnosed where the difference is not above its own error.
+    """
+    value = second.value - square
+    if second.log is None or not value > 0:
+        return Variance(value, None, "not diagnosed", why="no variance above rounding")
+    _, low, high = second.log.interval
+    low = value - math.hypot(second.value - low, Z95 * error)
+    high = value + math.hypot(high - second.value, Z95 * error)
+    if low <= 0:
+        return Variance(value, None, "not diagnosed", second.k, "a difference of large moments")
+    return replace(second, value=value, log=LogInterval.between(value, low, high))
+
+
+def confirmed(plain: Variance, other: Variance | None) -> Variance:
+    """``plain`` beside an ``other`` estimate of the same, by samples that miss less.
+
+    The other is taken where the plain one does not resolve its tail and this one does, or where
+    they contradict each other: a tail that the plain one did not meet. Where the plain one is
+    light and that tail is not resolved by the other either, nothing is.
+    """
+    if other is None or other.log is None or plain.log is None:
+        return plain
+    if other.tail in RESOLVED:
+        narrower = other.log.factor < plain.log.factor
+        return other if _contradict(plain, other) or narrower else plain
+    if plain.tail in RESOLVED and other.log.interval.low > plain.log.interval.high:
+        why = "samples that are not the method's find a tail that its own do not meet"
+        return replace(other, tail="not resolved", why=why)
+    return plain
+
+
+def _contradict(plain: Variance, other: Variance) -> bool:
+    """Whether the two are more than three standard errors apart."""
+    apart = other.log.theta - plain.log.theta
+    sides = (plain.log.above, other.log.below) if apart > 0 else (plain.log.below, other.log.above)
+    return abs(apart) > 3 / Z95 * math.hypot(*sides)
+
+
 def stranger(excess: tails.Excesses) -> bool:
     """Whether the largest is too large for the tail that all others have."""
     x = excess.values[excess.values > 0]
@@ -150,10 +193,12 @@ def _normal(value: float, d: Deviations) -> LogInterval:
     return LogInterval(math.log(value), half, half)
 
 
-def tail_interval(value: float, d: Deviations) -> LogInterval:
+def tail_interval(
+    value: float, d: Deviations, prior: tuple[float, float] | None = None
+) -> LogInterval:
     """Of the mean ``value``, with all that a generalised Pareto tail may hold; see above."""
     excess = tails.Excesses.of(d.largest, d.count)
-    mean = tails.mean_excess(excess.values)
+    mean = tails.mean_excess(excess.values, prior=prior)
     noise = _below(d, excess, mean.value)
     plain = float(excess.values.mean())
     middle = value + excess.share * (mean.value - plain)
