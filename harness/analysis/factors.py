@@ -1,4 +1,4 @@
-"""Speed-ups of a results folder from all renders of each cell, in place of the timed ones' alone."""
+"""Speed-ups of a results folder from all renders of each cell, not the timed ones alone."""
 
 from __future__ import annotations
 
@@ -82,7 +82,8 @@ def _cells(plan: Mapping[str, Any], trials: Mapping[str, Stored]) -> dict[Cell, 
     cells: dict[Cell, dict[str, Stored]] = {}
     for row in plan["trials"]:
         trial = trials.get(row["trial"])
-        if row["measure"] in (SAME_SPP, TIMED, EXACT) and trial is not None and trial.status == "ok":
+        wanted = row["measure"] in (SAME_SPP, TIMED, EXACT)
+        if wanted and trial is not None and trial.status == "ok":
             cell = (row["material"], row["method"], row["scene"], row["seed"])
             cells.setdefault(cell, {})[row["measure"]] = trial
     return cells

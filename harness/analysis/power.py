@@ -12,9 +12,7 @@ UNKNOWN = "not recorded: the error of the test, in a store of an older version"
 AIM = "0.5% in constant light and 1% in others"
 
 
-def detected(
-    results: Results, material: str, method: str, scene: str, tests: int
-) -> float | str:
+def detected(results: Results, material: str, method: str, scene: str, tests: int) -> float | str:
     """The smallest uniform relative error of energy found with 95 % power, or why unknown.
 
     At ``LEVEL`` over the number of ``tests``, the first step of Holm's correction. Of several

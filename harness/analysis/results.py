@@ -158,7 +158,8 @@ class Results:
         factors = [self.factors.found.get((row["trial"], metric)) for row in rows]
         unresolved = [f for f in factors if f is not None and not f.resolved]
         if not found:
-            return _not_resolved(unresolved) or _bounded(rows, metric) or _why(rows, measure, metric)
+            bound = _not_resolved(unresolved) or _bounded(rows, metric)
+            return bound or _why(rows, measure, metric)
         number = over_seeds([_estimate(row) for row in found])
         said = dict.fromkeys(f.note for f in factors if f is not None and f.note)
         if said:

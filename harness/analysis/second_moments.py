@@ -13,7 +13,7 @@ Arrays = Mapping[str, NDArray]
 
 
 def other_variance(arrays: Arrays) -> Variance | None:
-    """By samples that are not all the method's (:mod:`harness.measures.defensive`)."""
+    """By samples that are not all the method's (:mod:`harness.rendering.defensive`)."""
     if "other_second" not in arrays:
         return None
     second = float(np.asarray(arrays["other_second"], float).mean())

@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from harness.core.protocol.errors import BudgetExceeded
-from harness.measures import defensive
 from harness.measures.base import Job, Measure, Outcome
 from harness.measures.base import Settings as BaseSettings
 from harness.measures.batches import LEAST, LEAST_SPP, Batches, render_batches
 from harness.measures.compact import single
 from harness.measures.images import too_slow
 from harness.measures.precise import Precise, error_for, precise_reference
+from harness.rendering import defensive
 from harness.rendering.prepared import prepare
 from harness.scenes.base import Scene
 from harness.stats.blocks import SIZE, Blocks
@@ -44,7 +44,7 @@ class EqualSpp(Measure):
     (``deviations``; :class:`~harness.stats.variance.Deviations`), from which the tail of the
     estimate is told, and means over blocks of pixels (``block_variance``), for what methods have in
     common by common random numbers. Where an estimate is f L / p, the second moment is rendered
-    once more with samples that are not all the method's (:mod:`harness.measures.defensive`): what
+    once more with samples that are not all the method's (:mod:`harness.rendering.defensive`): what
     those renders find and the others do not is a tail that the method samples too rarely.
 
     ``relative-variance`` is over the mean squared luminance. ``bias-p`` is the p-value of the mean

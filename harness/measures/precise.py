@@ -13,8 +13,8 @@ from harness.core import registry
 from harness.core.protocol.errors import Unsupported
 from harness.core.protocol.method import Method
 from harness.measures.base import Job
-from harness.measures.broad import Broad
 from harness.measures.images import KEPT, checked
+from harness.rendering.broad import Broad
 from harness.rendering.prepared import Prepared, prepare, prepare_native
 
 PILOT = 32
@@ -48,8 +48,8 @@ def precise_reference(
     """An image of the job's material in its scene, made once per process; independent of the job.
 
     Candidates are Mitsuba's own sampler, where the material is a Mitsuba BSDF, the cosine's, and a
-    :class:`~harness.measures.broad.Broad` one, all with light sampling; the one of least variance in
-    a short render is taken. ``least`` to ``most`` samples per pixel: until the relative standard
+    :class:`~harness.rendering.broad.Broad` one, all with light sampling; that of least variance in a
+    short render is taken. ``least`` to ``most`` samples per pixel: until the relative standard
     error of the mean over ``mask`` is below ``error``, or ``seconds`` are over.
     """
     key = (id(job.material), id(job.scene), resolution, least, most, error, seconds)
@@ -110,4 +110,3 @@ def error_for(detect: float, quantiles: float) -> float:
     (:func:`harness.stats.power.quantiles`); the two errors add in squares.
     """
     return detect / quantiles / 2**0.5
-

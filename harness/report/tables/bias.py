@@ -32,7 +32,7 @@ def bias(results: Results) -> Table | str:
         title="Bias",
         caption=(
             "p-value of the test of the method's mean image against a long render with light "
-            "sampling, by Mitsuba's own sampler (the cosine's for a material without one), after "
+            "sampling, by whatever sampler nothing was fitted for has the least variance, after "
             f"Holm's correction over the {len(corrected)} tests of this table. Below {LEVEL:g} "
             f"the method is biased (‡): {found or 'none'} of {len(corrected)}. "
             f"{_looked_again(results)}{_about_power(results)}{said}"
@@ -49,8 +49,8 @@ def _powers(results: Results, tests: int) -> list[Section]:
         Section(
             f"{scene}: smallest uniform error of energy found with 95% power [%]",
             [
-                Row(m, [_power_cell(results, m, method, scene, tests) for method in results.methods])
-                for m in results.materials
+                Row(each, [_power_cell(results, each, m, scene, tests) for m in results.methods])
+                for each in results.materials
             ],
             brief=False,
         )

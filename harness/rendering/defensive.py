@@ -25,7 +25,7 @@ from harness.core.columns.reflectance import reflectance_columns
 from harness.core.protocol.disk import inside_disk
 from harness.core.protocol.method import DiskSample, Method, WeightedSample
 from harness.effects.offer import recipe_of
-from harness.measures.broad import Broad
+from harness.rendering.broad import Broad
 
 OWN = 0.5
 """Share of samples by the method."""
