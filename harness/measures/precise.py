@@ -48,8 +48,8 @@ def precise_reference(
     """An image of the job's material in its scene, made once per process; independent of the job.
 
     Candidates are Mitsuba's own sampler, where the material is a Mitsuba BSDF, the cosine's, and a
-    :class:`~harness.rendering.broad.Broad` one, all with light sampling; that of least variance in a
-    short render is taken. ``least`` to ``most`` samples per pixel: until the relative standard
+    :class:`~harness.rendering.broad.Broad` one, all with light sampling; that of least variance in
+    a short render is taken. ``least`` to ``most`` samples per pixel: until the relative standard
     error of the mean over ``mask`` is below ``error``, or ``seconds`` are over.
     """
     key = (id(job.material), id(job.scene), resolution, least, most, error, seconds)

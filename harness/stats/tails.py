@@ -30,7 +30,7 @@ FEWEST = 20
 ROUNDING = 1e-5
 """Relative difference of numbers that are the same."""
 _PRIOR = 10.0
-_INDICES = np.concatenate([np.linspace(-1.0, -0.02, 25), np.linspace(0.02, 0.995, 60)])
+_INDICES = np.concatenate([np.linspace(-1.0, -0.05, 8), np.linspace(0.02, 0.995, 60)])
 """Indices that a profile likelihood is taken over: below one, where there is a mean."""
 
 
@@ -143,12 +143,23 @@ def _profile(x: NDArray, means: NDArray, prior: tuple[float, float] | None) -> N
     found = np.full(sigma.shape, -np.inf)
     # 1 + k x / sigma > 0 for all x, or x is beyond the end of such a tail.
     ok = 1 + ratio * x.max() > 0
-    terms = np.log1p(ratio[ok][:, None] * x).sum(1)
+    terms = _log_sums(x, ratio[ok])
     k = np.broadcast_to(_INDICES, sigma.shape)[ok]
     found[ok] = -len(x) * np.log(sigma[ok]) - (1 + 1 / k) * terms
     if prior is not None:
         found[ok] -= np.square((k - prior[0]) / prior[1]) / 2
     return found.max(1)
+
+
+def _log_sums(x: NDArray, ratio: NDArray) -> NDArray:
+    """Sum of log(1 + r x) for each ratio r [K]; between 400 of them where they are positive."""
+    found, up = np.empty_like(ratio), ratio > 0
+    found[~up] = np.log1p(ratio[~up][:, None] * x).sum(1)
+    if up.any():
+        logs = np.log(ratio[up])
+        grid = np.linspace(logs.min(), logs.max(), 400)
+        found[up] = np.interp(logs, grid, np.log1p(np.exp(grid)[:, None] * x).sum(1))
+    return found
 
 
 def _crossing(means: NDArray, profile: NDArray, at: int, level: float, step: int) -> float:

@@ -33,6 +33,8 @@ WIDEST = 10.0
 """Ends of an interval that are further apart, as a factor, are printed as no number."""
 RESOLVED = ("light", "heavy")
 """Classes of tails whose variance has two ends."""
+KNOWN = 1.5
+"""Ends of another estimate that are further apart, as a factor, correct nothing."""
 STRANGER = 1e-3
 """Probability of as large a largest deviation, below which it is of another kind."""
 
@@ -156,6 +158,8 @@ def confirmed(plain: Variance, other: Variance | None) -> Variance:
     if other is None or other.log is None or plain.log is None:
         return plain
     if other.tail in RESOLVED:
+        if not other.log.factor <= KNOWN:
+            return plain
         narrower = other.log.factor < plain.log.factor
         return other if _contradict(plain, other) or narrower else plain
     if plain.tail in RESOLVED and other.log.interval.low > plain.log.interval.high:
@@ -166,9 +170,11 @@ def confirmed(plain: Variance, other: Variance | None) -> Variance:
 
 def _contradict(plain: Variance, other: Variance) -> bool:
     """Whether the two are more than three standard errors apart."""
-    apart = other.log.theta - plain.log.theta
-    sides = (plain.log.above, other.log.below) if apart > 0 else (plain.log.below, other.log.above)
-    return abs(apart) > 3 / Z95 * math.hypot(*sides)
+    first, second = plain.log.interval, other.log.interval
+    if second.value < first.value:
+        first, second = second, first
+    error = math.hypot(first.high - first.value, second.value - second.low) / Z95
+    return second.value - first.value > 3 * error
 
 
 def stranger(excess: tails.Excesses) -> bool:
