@@ -238,3 +238,19 @@ def test_an_older_store_keeps_its_numbers_and_is_not_diagnosed() -> None:
     found = {r.metric: r for r in records.numbers(Raw(old, {}, {})).records}
     assert "tail-resolved" not in found and "bias-error" in found
     assert found["variance"].ci_low < found["variance"].value < found["variance"].ci_high
+
+
+def test_integrals_of_the_same_points_are_paired() -> None:
+    """A clone is one; the ratio of two samplers is that of their formulas."""
+    from harness.analysis.constant_light import preferred
+
+    grey = FakeMaterial("grey")
+    base, clone, other = (
+        preferred(stored(measured("constant-light", m, grey, resolution=24)), None)
+        for m in (Uneven(0.5), Uneven(0.5), Uneven(lost=0.5))
+    )
+    same = pooling.variance_ratio(base, clone)
+    assert same.exact and same.interval == (1.0, 1.0, 1.0)
+    ratio = pooling.variance_ratio(base, other)
+    assert ratio.log.theta == pytest.approx(np.log(1 / 3), abs=0.02)
+    assert preferred(None, base) is base

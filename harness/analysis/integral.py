@@ -20,6 +20,8 @@ class Integral:
 
     total: Variance
     footprint: Interval
+    points: NDArray
+    """The same at both points of every pixel [2, P]."""
 
 
 def variance_of(arrays: Mapping[str, NDArray]) -> Integral:
@@ -38,21 +40,22 @@ def variance_of(arrays: Mapping[str, NDArray]) -> Integral:
     error = float(halves.std(ddof=1) / math.sqrt(len(halves)))
     mean = float(halves.mean())
     footprint = Interval(mean, mean - Z95 * error, mean + Z95 * error)
+    points = sampler + halves
     found = diagnosed(float(sampler.mean()), Deviations.of(sampler))
     value = found.value + mean
     if found.log is None:
         if not value > 0:
-            return Integral(replace(found, value=value), footprint)
+            return Integral(replace(found, value=value), footprint, points)
         # An exact sampler: what is left is the footprint's alone.
         half = Z95 * math.hypot(error, Deviations.of(sampler).error)
         if not value > half:
-            return Integral(replace(found, value=value), footprint)
+            return Integral(replace(found, value=value), footprint, points)
         log = LogInterval.between(value, value - half, value + half)
-        return Integral(Variance(value, log, "light"), footprint)
+        return Integral(Variance(value, log, "light"), footprint, points)
     _, low, high = found.log.interval
     low = value - math.hypot(found.value - low, Z95 * error)
     high = value + math.hypot(high - found.value, Z95 * error)
     if found.tail not in RESOLVED:
         high = math.inf
     log = LogInterval.between(value, max(low, 0.0), high)
-    return Integral(replace(found, value=value, log=log), footprint)
+    return Integral(replace(found, value=value, log=log), footprint, points)

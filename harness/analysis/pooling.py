@@ -40,11 +40,20 @@ class Pooled:
     variance: Variance
     spp: float
     blocks: NDArray | None = None
-    """Of the renders of equal samples, by block [B, G]; ``pixels`` [G] are theirs."""
+    """Of the renders of equal samples, by block [B, G]; ``pixels`` [G] are theirs.
+
+    Of an integral, of two points of every pixel [2, P], the same for all methods.
+    """
     pixels: NDArray | None = None
     batch_spp: int = 0
     exact: bool = False
     """Whether the variance is an integral."""
+
+    @property
+    def variance_factor(self) -> float:
+        """Upper over lower end of the variance; infinite where it is not resolved."""
+        known = self.variance.log is not None and self.variance.tail in RESOLVED
+        return self.variance.log.factor if known else math.inf
 
 
 @dataclass(frozen=True)
@@ -111,11 +120,10 @@ def variance_ratio(base: Pooled, method: Pooled) -> Factor | None:
     """
     if base.variance.log is None or method.variance.log is None:
         return None
-    # Of integrals both ends are far narrower than of any pair of renders.
-    pair = None if base.exact or method.exact else _paired(base, method)
+    pair = _paired(base, method)
     light = base.variance.tail == method.variance.tail == "light"
     if pair is not None and (pair.same or (light and pair.correlation > CORRELATED)):
-        return Factor(pair.ratio, True)
+        return Factor(pair.ratio, True, exact=base.exact and method.exact)
     ratio = base.variance.log - method.variance.log
     notes = [_note("the baseline's", base.variance), _note("its", method.variance)]
     resolved = all(one.variance.tail != "not resolved" for one in (base, method))

@@ -51,7 +51,7 @@ class ConstantLight(Measure):
 
         resolution: int = 96
         grid: Annotated[int, Field(ge=2)] = 16
-        points: Annotated[int, Field(ge=8, multiple_of=8)] = 256
+        points: Annotated[int, Field(ge=8, multiple_of=8)] = 128
         pixels: Annotated[int, Field(ge=2)] = 4096
 
     def run(self, jobs: list[Job], notify: Callable[[str], None]) -> list[Outcome]:

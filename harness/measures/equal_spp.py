@@ -83,8 +83,8 @@ class EqualSpp(Measure):
         patience: float = 3600.0
         detect: Annotated[float, Field(gt=0)] | None = None
         longest: Annotated[int, Field(ge=1)] = 32
-        power_seconds: float = 2.0
-        reference_seconds: float = 20.0
+        power_seconds: float = 1.0
+        reference_seconds: float = 15.0
 
     def run(self, jobs: list[Job], notify: Callable[[str], None]) -> list[Outcome]:
         """See :class:`Measure`."""
@@ -107,7 +107,7 @@ class EqualSpp(Measure):
                 least=times * settings.reference_spp,
                 most=times * settings.longest * settings.reference_spp,
                 error=error,
-                seconds=times * settings.reference_seconds,
+                seconds=settings.reference_seconds,
             )
             done = render_batches(
                 prepared,
@@ -119,7 +119,7 @@ class EqualSpp(Measure):
                 notify=notify,
                 more=lambda done: _error(done) > error,
                 most=settings.longest * settings.batches,
-                more_seconds=times * settings.power_seconds,
+                more_seconds=settings.power_seconds,
             )
             return done, truth
 
