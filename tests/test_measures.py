@@ -73,9 +73,8 @@ class Rare(Uneven):
 
 def equal_spp(method: Method, material: Material, spp: int = 64) -> Outcome:
     """The measure at a size for tests."""
-    return measured(
-        "equal-spp", method, material, batches=6, spp=spp, resolution=16, reference_spp=1024
-    )
+    given = {"resolution": 16, "reference_spp": 1024, "longest": 1}
+    return measured("equal-spp", method, material, batches=6, spp=spp, **given)
 
 
 def test_variance_is_the_chi_square_divergence():

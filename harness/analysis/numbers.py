@@ -55,6 +55,11 @@ def with_interval(value: float, low: float | None, high: float | None) -> tuple[
     return text, f"[{bounds[0]}, {bounds[1]}]"
 
 
+def plain_bound(value: float) -> str:
+    """A bound with two significant digits."""
+    return plain(value, 1 - _magnitude(value))
+
+
 def p_value(p: float) -> str:
     """A p-value; below a thousandth only that it is."""
     return "<0.001" if p < 0.001 else f"{p:.3f}" if p < 0.1 else f"{p:.2f}"

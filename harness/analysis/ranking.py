@@ -159,6 +159,11 @@ def _one(results: Results, row: dict, baseline: bool) -> Measured:
     if baseline:
         return Measured(0.0, 0.0, np.zeros(DRAWS))
     seed = _seed(row["trial"])
+    factor = results.factors.found.get((row["trial"], METRIC))
+    if factor is not None:
+        # Half the width of the interval tells the error, as it would of a normal one.
+        error = (factor.log.below + factor.log.above) / (2 * Z95)
+        return Measured(factor.log.theta, error, factor.log.draws(DRAWS, seed))
     arrays = results.arrays(row["trial"])
     if all(name in arrays for name in _ARRAYS):
         estimate = log_speed_up(*(arrays[name] for name in _ARRAYS), seed)

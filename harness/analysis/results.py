@@ -14,6 +14,8 @@ import numpy as np
 import pandas as pd
 
 from harness.analysis.combine import Estimate
+from harness.analysis.factors import Factors, pooled
+from harness.analysis.pooling import Factor
 from harness.analysis.process_pooling import joined
 from harness.analysis.renew import renewed
 from harness.analysis.seeds import over_training_seeds, training_seeds
@@ -58,6 +60,8 @@ class Results:
     found: dict[str, Stored] = field(default_factory=dict)
     whole: pd.DataFrame | None = None
     """Where ``frame`` is a part that is to be shown: all rows."""
+    factors: Factors = field(default_factory=lambda: Factors({}))
+    """Speed-ups from all renders of each cell."""
 
     @classmethod
     def load(cls, folder: str | Path, all: bool = False) -> Results:
@@ -68,8 +72,9 @@ class Results:
             trials |= {key: _damaged(trials[key], why) for key, why in damaged if key in trials}
             trials = {key: renewed(trial) for key, trial in trials.items()}
             old = stale(store, trials) | changed_files(plan)
-            table = frame(plan["trials"], trials, old, all)
-        return cls(Path(folder), table, plan, trials)
+            found = pooled(plan, trials, baseline_of(plan))
+            table = frame(plan["trials"], found.trials, old, all)
+        return cls(Path(folder), table, plan, found.trials, factors=found)
 
     def restricted(self, allowed: Mapping[str, Collection[str]]) -> Results:
         """The part with these labels by column; a column that is not named is not restricted.
@@ -105,8 +110,7 @@ class Results:
     @cached_property
     def baseline(self) -> str:
         """Label of the reference method; "" if the suite names none."""
-        name = str(self.plan.get("baseline") or "")
-        return next((m.label for m in self.methods if name in (m.label, m.name)), name)
+        return baseline_of(self.plan)
 
     @property
     def title(self) -> str:
@@ -148,18 +152,28 @@ class Results:
         found = [
             row
             for row in rows
-            if row["metric"] == metric and row["status"] in SHOWN and not math.isnan(row["value"])
+            if row["metric"] == metric
+            and row["status"] in SHOWN
+            and not (math.isnan(row["value"]) or _one_sided(row))
         ]
+        factors = [self.factors.found.get((row["trial"], metric)) for row in rows]
+        unresolved = [f for f in factors if f is not None and not f.resolved]
         if not found:
-            return _why(rows, measure, metric)
+            bound = _not_resolved(unresolved) or _bounded(rows, metric)
+            return bound or _why(rows, measure, metric)
         number = over_training_seeds(self._by_training(found))
+        said = dict.fromkeys(f.note for f in factors if f is not None and f.note)
+        if said:
+            number = replace(number, note="; ".join(filter(None, [number.note, *said])))
         old = next((str(row["reason"]) for row in found if row["status"] == STALE), "")
         if old:
             number = replace(number, note=old)
         good = {row["trial"] for row in found}
         seeds = {row["trial"] for row in rows}
         if good != seeds:
-            lost = _why([row for row in rows if row["trial"] not in good], measure, metric)
+            lost = _not_resolved(unresolved) or _why(
+                [row for row in rows if row["trial"] not in good], measure, metric
+            )
             few = f"{len(good)} of {len(seeds)} seeds only; {lost}"
             return replace(number, note="; ".join(filter(None, (number.note, few))))
         return number
@@ -173,6 +187,18 @@ class Results:
             for row in self.rows(measure, material, method, scene)
             if row["metric"] == metric and row["status"] in SHOWN and not math.isnan(row["value"])
         )
+
+    def factor(self, found: Mapping[str, Factor]) -> Estimate | str:
+        """The speed-up over all seeds of those of trials, by key; or why there is none."""
+        resolved = {key: one for key, one in found.items() if one.resolved}
+        if not resolved:
+            return _not_resolved(list(found.values()))
+        fits: dict[int, list[Estimate]] = {}
+        for key, one in resolved.items():
+            fits.setdefault(self.training.get(key, 0), []).append(Estimate(*one.interval))
+        number = over_training_seeds(fits)
+        notes = dict.fromkeys(one.note for one in found.values() if one.note)
+        return replace(number, note="; ".join(filter(None, [number.note, *notes])))
 
     def why_missing(self, measure: str, material: str, method: str, scene: str = "") -> str:
         """Why there is no such trial that ended well."""
@@ -276,6 +302,35 @@ def load_results(folder: str | Path, all: bool = False) -> pd.DataFrame:
         InputError: no results there, or of another format.
     """
     return Results.load(folder, all).frame
+
+
+def baseline_of(plan: Mapping[str, Any]) -> str:
+    """Label of the reference method of a plan; "" if it names none."""
+    name = str(plan.get("baseline") or "")
+    rows = plan["trials"]
+    return next((r["method"] for r in rows if name in (r["method"], _registry_name(r))), name)
+
+
+def _not_resolved(factors: list[Factor]) -> str:
+    """Why a speed-up has no number, with its one-sided bound; "" where that is not why."""
+    if not factors:
+        return ""
+    said = f"not resolved: {factors[0].bound}×" if factors[0].bound else "not resolved"
+    return f"{said}; {factors[0].note}" if factors[0].note else said
+
+
+def _one_sided(row: Mapping[str, Any]) -> bool:
+    """Whether nothing bounds the number from above: a lower bound is all there is."""
+    return math.isnan(row["ci_high"]) and not math.isnan(row["ci_low"])
+
+
+def _bounded(rows: list[dict[str, Any]], metric: str) -> str:
+    """Why a number with a lower bound alone is none; "" where there is no such."""
+    found = [row for row in rows if row["metric"] == metric and _one_sided(row)]
+    if not found:
+        return ""
+    low = min(row["ci_low"] for row in found)
+    return f"not resolved: at least {low:.3g}, the tail allows any more"
 
 
 def _damaged(trial: Stored, why: str) -> Stored:

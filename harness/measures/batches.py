@@ -48,6 +48,21 @@ class Batches:
         return np.array([p.error(self.mask) for p in self.passes])
 
     @property
+    def variances(self) -> NDArray:
+        """Variance of one sample of each pixel of the mask, by each batch alone [B, P]."""
+        return np.array([p.variance[self.mask] for p in self.passes])
+
+    @property
+    def squared_mean(self) -> NDArray:
+        """Unbiased square of the expected luminance of each pixel of the mask [P].
+
+        By products of different batches, in which no sample is squared.
+        """
+        means = np.array([p.mean[self.mask] for p in self.passes])
+        n = len(means)
+        return (np.square(means.sum(0)) - np.square(means).sum(0)) / (n * (n - 1))
+
+    @property
     def variance_of_mean(self) -> NDArray:
         """Of :attr:`mean` [H, W], from the moments of all samples."""
         return np.mean([p.variance for p in self.passes], 0) / self.spp
@@ -72,11 +87,15 @@ def render_batches(
     seed: int,
     notify: Callable[[str], None],
     label: str = "",
+    more: Callable[[Batches], bool] = lambda done: False,
+    most: int = 0,
+    more_seconds: float = 0.0,
 ) -> Batches:
     """``batches`` renders of ``spp`` samples per pixel, of seeds ``seed``, ``seed + 1``, ...
 
     A slow method takes fewer samples a batch, so that all end in about ``max_seconds``; if
-    they do not, batches after the sixth are left out.
+    they do not, batches after the sixth are left out. Then others follow as long as ``more`` says
+    so, up to ``most`` in all and for about ``more_seconds``.
 
     Raises:
         FloatingPointError: a pixel is not finite.
@@ -94,4 +113,14 @@ def render_batches(
         spent += passes[-1].seconds
         if spent > max_seconds and batch + 1 >= LEAST:
             break
+    spent, looked = 0.0, len(passes)
+    while len(passes) < most and spent < more_seconds:
+        # A look costs as much as a batch of few samples: not after every one.
+        if len(passes) >= looked:
+            if not more(Batches(passes, prepared.mask)):
+                break
+            looked = len(passes) + max(1, len(passes) // 4)
+        notify(f"{name}: batch {len(passes) + 1}, for the test of its mean")
+        passes.append(checked(prepared.render(spp, seed + len(passes)), job))
+        spent += passes[-1].seconds
     return Batches(passes, prepared.mask)

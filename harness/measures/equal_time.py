@@ -13,6 +13,7 @@ from harness.measures.deadline_render import DeadlineRender, render_to_deadlines
 from harness.measures.images import checked, too_slow
 from harness.measures.renders import Entrant, RenderSettings, enter
 from harness.measures.timing import Timings, interleave
+from harness.stats.variance import Deviations
 
 
 class EqualTime(Measure):
@@ -57,7 +58,7 @@ class EqualTime(Measure):
         base = next((i for i, job in enumerate(jobs) if job.baseline), None)
         if base is None:
             raise BudgetExceeded("the baseline is too slow for its rounds")
-        entrants = [enter(job, settings, notify) for job in jobs]
+        entrants = [enter(job, settings, notify, i) for i, job in enumerate(jobs)]
         contenders = [e.contender(None if i == base else base) for i, e in enumerate(entrants)]
         timings = interleave(contenders, settings, notify)
         notify(f"{settings.deadline:g} s each, {len(entrants)} methods")
@@ -79,6 +80,7 @@ def _outcome(
         "baseline_seconds": single(timings.rival_seconds(index)),
         "batch_variance": single(entrant.errors),
         "baseline_variance": single(entrants[base].errors),
+        "deviations": Deviations.of(entrant.variances).packed(),
         "round_spp": np.array(entrant.spp),
         "chunk_spp": np.array([spp for spp, _ in render.chunks], np.int32),
         "chunk_seconds": single([seconds for _, seconds in render.chunks]),

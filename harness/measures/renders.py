@@ -5,6 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
+import numpy as np
+from numpy.typing import NDArray
+
 from harness.measures.base import Job
 from harness.measures.images import checked
 from harness.measures.timing import Contender, RoundSettings, settle
@@ -32,12 +35,20 @@ class Entrant:
     spp: int = 2
     errors: list[float] = field(default_factory=list)
     """Of every timed render: variance of one sample, averaged over the pixels that count."""
+    variances: list[NDArray] = field(default_factory=list)
+    """The same of each pixel that counts [P]."""
+    stream: int = 0
 
     def once(self, number: int) -> float:
-        """Seconds of a render in round ``number``; its random numbers are no other render's."""
-        seed = 5000 * (self.job.seed + 1) + len(self.errors)
+        """Seconds of a render in round ``number``; its random numbers are no other render's.
+
+        Nor those of another ``stream``, up to 600 renders: renders of different methods are
+        then independent, which their intervals take them to be.
+        """
+        seed = 5000 * (self.job.seed + 1) + 600_000 * self.stream + len(self.errors)
         rendered = checked(self.prepared.render(self.spp, seed), self.job)
         self.errors.append(rendered.error(self.prepared.mask))
+        self.variances.append(rendered.variance[self.prepared.mask].astype(np.float32))
         return rendered.seconds
 
     def contender(self, rival: int | None, slices: int = 0) -> Contender:
@@ -45,10 +56,13 @@ class Entrant:
         return Contender(f"{self.job.method.name} render", self.once, self.spp, rival, slices)
 
 
-def enter(job: Job, settings: RenderSettings, notify: Callable[[str], None]) -> Entrant:
+def enter(
+    job: Job, settings: RenderSettings, notify: Callable[[str], None], stream: int = 0
+) -> Entrant:
     """Compile, fill caches, and find the samples that fill one slice."""
     notify(f"{job.method.name}: warm-up")
-    entrant = Entrant(job, prepare(job.scene, job.material, job.method, settings.resolution))
+    prepared = prepare(job.scene, job.material, job.method, settings.resolution)
+    entrant = Entrant(job, prepared, stream=stream)
     _ = entrant.prepared.mask  # made now, not in the first round
     spent, seeds = 0.0, iter(range(77, 10**6))
 

@@ -275,4 +275,3 @@ class ResultsFolder:
 def _arrays_of(folder: Path, key: str) -> dict[str, np.ndarray]:
     with ResultsFolder(folder) as results:
         return results.arrays(key)
-

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from harness.core.record import Numbers, Raw, Record
-from harness.stats.intervals import mean_interval
+from harness.stats.intervals import Interval
+from harness.stats.skewed_mean import skewed_mean
 
 _UNITS = {"kl": "nats", "chi2": "1", "mse": "1", "lost-share": "1", "invalid-share": "1"}
 """Arrays with a value for each condition, and their units."""
@@ -13,8 +16,9 @@ _UNITS = {"kl": "nats", "chi2": "1", "mse": "1", "lost-share": "1", "invalid-sha
 
 def numbers(raw: Raw) -> Numbers:
     """See :class:`harness.measures.pdf.Pdf`."""
+    means = {metric: skewed_mean(raw.floats(metric)) for metric in _UNITS}
     records = [
-        Record(metric, *mean_interval(raw.floats(metric)), unit) for metric, unit in _UNITS.items()
+        Record(metric, *_ends(means[metric].interval), unit) for metric, unit in _UNITS.items()
     ]
     chi2, negative = raw.floats("chi2"), raw.floats("negative-share")
     return Numbers(
@@ -23,5 +27,16 @@ def numbers(raw: Raw) -> Numbers:
             Record("chi2-median", float(np.median(chi2)), unit="1"),
             Record("black-conditions", float(len(negative) - len(chi2)), unit="1"),
             Record("negative-share", float(negative.mean()), unit="1"),
+            *(
+                Record(f"{metric}-resolved", float(means[metric].tail != "not resolved"), unit="1")
+                for metric in ("kl", "chi2")
+            ),
         ]
     )
+
+
+def _ends(interval: Interval) -> Interval:
+    """An end that nothing bounds is nan: a lower bound is left."""
+    value, low, high = interval
+    unbounded = math.isinf(high) and math.isfinite(value)
+    return Interval(value, low, math.nan) if unbounded else interval

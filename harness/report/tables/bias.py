@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from harness.analysis import numbers
 from harness.analysis.bias import LEVEL, MEASURE, Key, corrected_p, deciding_test
+from harness.analysis.power import AIM, detected, weak_tests
 from harness.analysis.results import MethodColumn, Results
 from harness.report.table import Cell, Row, Section, Table
 from harness.report.tables.common import circumstances
@@ -23,6 +24,7 @@ def bias(results: Results) -> Table | str:
             for material in results.materials
         ]
         sections.append(Section(scene, rows))
+    sections += _powers(results, len(corrected))
     found = sum(p < LEVEL for p in corrected.values())
     said = circumstances(results, MEASURE)
     return Table(
@@ -30,15 +32,52 @@ def bias(results: Results) -> Table | str:
         title="Bias",
         caption=(
             "p-value of the test of the method's mean image against a long render with light "
-            "sampling, by Mitsuba's own sampler (the cosine's for a material without one), after "
+            "sampling, by whatever sampler nothing was fitted for has the least variance, after "
             f"Holm's correction over the {len(corrected)} tests of this table. Below {LEVEL:g} "
             f"the method is biased (‡): {found or 'none'} of {len(corrected)}. "
-            f"{_looked_again(results)}{said}"
+            f"{_looked_again(results)}{_about_power(results)}{said}"
         ).strip(),
         corner="material",
         columns=[method.label for method in results.methods],
         sections=sections,
     )
+
+
+def _powers(results: Results, tests: int) -> list[Section]:
+    """The power of every test, in numbers."""
+    return [
+        Section(
+            f"{scene}: smallest uniform error of energy found with 95% power [%]",
+            [
+                Row(each, [_power_cell(results, each, m, scene, tests) for m in results.methods])
+                for each in results.materials
+            ],
+            brief=False,
+        )
+        for scene in results.scenes(MEASURE)
+    ]
+
+
+def _power_cell(
+    results: Results, material: str, method: MethodColumn, scene: str, tests: int
+) -> Cell:
+    found = detected(results, material, method.label, scene, tests)
+    if isinstance(found, str):
+        return Cell(missing=found, ceiling=method.ceiling)
+    return Cell(100 * found, text=f"{100 * found:.2g}", ceiling=method.ceiling)
+
+
+def _about_power(results: Results) -> str:
+    """How to read it, and which tests fall short of what they are to find."""
+    short = weak_tests(results)
+    said = (
+        "In brackets the power: the smallest uniform relative error of energy that the test finds "
+        f"in 95 of 100 cases at {LEVEL:g} over the number of tests. "
+    )
+    if not short:
+        return said
+    some = ", ".join(short[:6]) + (f" and {len(short) - 6} others" if len(short) > 6 else "")
+    return f"{said}Within the time for it, this is not below {AIM} for {some}. "
 
 
 def _looked_again(results: Results) -> str:
@@ -67,7 +106,10 @@ def _cell(
     if p < LEVEL:
         said = _said(results, material, method.label, scene)
         warning = f"biased: {method.label} on {material}{said}"
-    return Cell(p, text=numbers.p_value(p), warning=warning, ceiling=method.ceiling)
+    found = detected(results, material, method.label, scene, len(corrected))
+    power = "" if isinstance(found, str) else f" ({100 * found:.2g}%)"
+    text = f"{numbers.p_value(p)}{power}"
+    return Cell(p, text=text, warning=warning, ceiling=method.ceiling)
 
 
 def _said(results: Results, material: str, method: str, scene: str) -> str:

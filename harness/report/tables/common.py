@@ -115,6 +115,14 @@ def machine_words(machine: Any) -> str:
     return ", ".join(str(word) for word in words.values() if word)
 
 
+def _left_out(missing: dict[str, str]) -> list[str]:
+    """Which materials a mean is without, by the kind of reason."""
+    reasons: dict[str, list[str]] = {}
+    for material, why in missing.items():
+        reasons.setdefault(why.partition(":")[0], []).append(material)
+    return [f"without {', '.join(where)} ({why})" for why, where in reasons.items()]
+
+
 def _mean_cell(
     results: Results,
     number: Number,
@@ -138,5 +146,6 @@ def _mean_cell(
         for part in filter(None, warning(material, method).split("; ")):
             doubtful.setdefault(part.partition(":")[0], []).append(material)
     said = [f"{what} on {', '.join(where)}" for what, where in doubtful.items()]
+    said += _left_out({m: n for m, n in numbers.items() if isinstance(n, str)})
     said_of_it = "; ".join(filter(None, (combined.note, *said)))
     return cell(combined, method, suffix, said_of_it, any(biased(m, method) for m in known))

@@ -8,11 +8,20 @@ from dataclasses import replace
 from harness.analysis.bias import bias_warnings
 from harness.analysis.combine import Estimate, geometric_mean, ratio
 from harness.analysis.marks import disturbed
+from harness.analysis.resolution import resolved
 from harness.analysis.results import MethodColumn, Results
 from harness.report.table import Row, Section, Table
 from harness.report.tables.common import as_baseline, circumstances, legend, material_rows
 
 _MEAN_LEGEND = "Geometric mean: the materials as given; its interval is that of the measurements."
+_POOLED = (
+    "Variances are of all renders of a cell, each by its samples. No number: an interval of more "
+    "than a factor ten, or a tail that the renders do not resolve; its note has the bound."
+)
+_UNDIAGNOSED = (
+    "Tails not diagnosed in {count} of {all} trials, stored without what tells them: their "
+    "factors are of the timed renders alone, and their intervals of light tails."
+)
 
 
 def speedups(
@@ -48,8 +57,20 @@ def speedups(
         columns=[method.label for method in results.methods],
         sections=sections,
         best="high",
-        legend=[*legend(results), *([_MEAN_LEGEND] * (len(results.materials) > 1))],
+        legend=[
+            *legend(results),
+            *([_MEAN_LEGEND] * (len(results.materials) > 1)),
+            *_about_tails(results, measure),
+        ],
     )
+
+
+def _about_tails(results: Results, measure: str) -> list[str]:
+    trials = results.trials(measure)
+    old = sum(trial in results.factors.undiagnosed for trial in trials)
+    kinds = results.factors.kinds(trials)
+    said = [f"{_POOLED} Tails: {kinds}."] if kinds else []
+    return said + ([_UNDIAGNOSED.format(count=old, all=len(trials))] if old else [])
 
 
 def _rows(
@@ -66,7 +87,7 @@ def _rows(
             found = _variance_ratio(results, material, method.label, scene)
         if method.label == results.baseline and isinstance(found, Estimate):
             return Estimate(1.0, 1.0, 1.0)
-        return found
+        return resolved(found)
 
     def mark(material: str, method: str) -> str:
         # Only the time of a speed-up can be disturbed; the baseline's own is 1 by definition.
@@ -89,7 +110,11 @@ def _rows(
 
 
 def _variance_ratio(results: Results, material: str, method: str, scene: str) -> Estimate | str:
-    """Variance of the baseline over the method's, taken as independent."""
+    """Variance of the baseline over the method's; by old records taken as independent."""
+    keys = dict.fromkeys(r["trial"] for r in results.rows("equal-spp", material, method, scene))
+    pooled = {key: results.factors.found.get((key, "speedup-equal-spp")) for key in keys}
+    if found := {key: factor for key, factor in pooled.items() if factor is not None}:
+        return results.factor(found)
     pair = [
         results.number("equal-spp", "variance", material, label, scene)
         for label in (results.baseline, method)

@@ -1,0 +1,30 @@
+"""Variance under constant light by quadrature, and the part of it that no sampler can change."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from harness.analysis.integral import variance_of
+from harness.core.record import Numbers, Raw, Record
+
+
+def numbers(raw: Raw) -> Numbers:
+    """See :class:`harness.measures.constant_light.ConstantLight`."""
+    found = variance_of(raw.arrays)
+    total, tail = found.total, found.total.tail
+    records = [Record("variance", total.value, unit="radiance^2")]
+    if total.log is not None:
+        low, high = total.log.interval[1:]
+        high = high if math.isfinite(high) else math.nan
+        records = [Record("variance", total.value, low, high, "radiance^2")]
+    power = float(np.square(raw.floats("albedo").mean((0, 1))).mean()) * raw.value("radiance") ** 2
+    if power > 0:
+        records.append(Record("relative-variance", total.value / power, unit="1"))
+    records.append(Record("footprint-variance", *found.footprint, "radiance^2"))
+    if total.value > 0:
+        share = (v / total.value for v in found.footprint)
+        records.append(Record("footprint-share", *share, "1"))
+    records.append(Record("tail-resolved", float(tail != "not resolved"), unit="1"))
+    return Numbers(records, f"{tail}: {total.why}" if total.why else "")
