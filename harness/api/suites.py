@@ -139,9 +139,10 @@ def _fit(plan: Plan, material: str, method: str, seed: int | None) -> Trial:
 
 
 def _planned(loaded: Loaded, profile: str | None, device: str | None) -> Plan:
+    from harness.runner import shipped
     from harness.suite.plan import make_plan
 
-    return make_plan(loaded, profile, ready(device))
+    return make_plan(loaded, profile, ready(device), shipped.find)
 
 
 def _loaded(suite: SuiteLike) -> Loaded:
