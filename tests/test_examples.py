@@ -28,7 +28,16 @@ def test_there_are_some():
     assert len(SCRIPTS) >= 4 and NOTEBOOKS
 
 
-@pytest.mark.parametrize("file", SCRIPTS, ids=lambda file: file.stem)
+DEAR = ("in_a_mitsuba_script", "run_a_suite")
+
+
+@pytest.mark.parametrize(
+    "file",
+    [
+        pytest.param(file, id=file.stem, marks=[pytest.mark.slow] if file.stem in DEAR else [])
+        for file in SCRIPTS
+    ],
+)
 def test_a_script(file: Path, tmp_path: Path):
     done = subprocess.run(
         [sys.executable, str(file)],
