@@ -59,17 +59,17 @@ def test_all_mistakes_are_listed(written, capsys, tmp_path):
 
 
 def test_a_mistake_of_a_scene_is_said_once(written, capsys):
-    """Not once more with every material."""
+    """Not once more with every material; and what one material lacks, once for each."""
     more = "{type: diffuse}}\n  - {name: slate, type: mitsuba, bsdf: {type: diffuse}"
-    file = written(chalk=more)
-    text = Path(file).read_text()
-    scene = "{file: room.xml, replace_bsdf: metal}"
-    for effects in ("[environment, area-lights]", "[environment, depth-of-field]"):
-        changed = scene.replace("metal}", f"metal, effects: {effects}}}")
-        Path(file).write_text(text.replace(scene, changed))
-        assert main(["validate", file]) == 2
-        lines = capsys.readouterr().err.strip().splitlines()
-        assert len(lines) == 1 and "room" in lines[0], lines
+    file = written(shape="icosahedron", chalk=more)
+    assert main(["validate", file]) == 2
+    (line,) = capsys.readouterr().err.strip().splitlines()
+    assert "'room' with 'chalk'" in line and "icosahedron" in line
+    text = Path(written(chalk=more)).read_text()
+    Path(file).write_text(text.replace("metal}", "metal, effects: [environment, parallax]}"))
+    assert main(["validate", file]) == 2
+    lines = capsys.readouterr().err.strip().splitlines()
+    assert [sum(name in line for line in lines) for name in ("'chalk'", "'slate'")] == [1, 1], lines
 
 
 def test_a_material_that_cannot_be_seen(written, capsys, tmp_path):
