@@ -40,13 +40,14 @@ def test_a_slice_that_is_no_number_is_not_hidden():
 
 
 def test_where_a_preview_goes(tmp_path):
-    """Is found out before anything is drawn: a new folder, an old one, a wrong name, a file above."""
+    """Is found out before anything is drawn: new folders, old ones, wrong names, a file above."""
     from harness.cli.material import _png
 
     file = tmp_path / "leather.safetensors"
     assert _png(None, file) is None
     assert _png(tmp_path / "new" / "x.png", file) == tmp_path / "new" / "x.png"
     assert _png(tmp_path, file) == tmp_path / "leather-preview.png"
-    for out, said in (("x.jpg", "ends in .png"), ("new/x.png/y.png", "cannot be written")):
+    (tmp_path / "file").touch()
+    for out, said in (("x.jpg", "ends in .png"), ("file/y.png", "cannot be written")):
         with pytest.raises(InputError, match=said):
             _png(tmp_path / out, file)
