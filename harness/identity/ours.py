@@ -7,7 +7,7 @@ from functools import lru_cache
 from pathlib import Path
 
 from harness.core.classes import named
-from harness.core.paths import ROOT
+from harness.core.paths import METHODS, ROOT
 from harness.identity.cache import Cache, default_folder
 from harness.identity.digests import Digests
 from harness.identity.modules import CALLED
@@ -24,7 +24,7 @@ TABLES = (
 
 def _shipped_method(name: str) -> list[str]:
     # The registry's own name for this folder would load PyTorch, which a report does without.
-    found = named(ROOT / "methods").get(name)
+    found = named(METHODS).get(name)
     return [f"methods.{found.file.stem}:{found.class_name}"] if found else []
 
 
