@@ -9,13 +9,13 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from harness._methods.flow_matching import FlowMatching
+from harness._methods.flow_matching_published import FlowMatchingPublished
 from harness.core.columns.bridge import Columns
 from harness.core.protocol.errors import InputError, nearest
 from harness.core.protocol.material import Material
 from harness.core.protocol.method import Budget, FitReport, Knob
 from harness.nets.conditional_flow import ConditionalFlow
-from methods.flow_matching import FlowMatching
-from methods.flow_matching_published import FlowMatchingPublished
 
 STATES = ("rectify", "diffusion")
 QUERIES = ("inverse", "published")

@@ -7,12 +7,12 @@ from typing import Any, ClassVar
 import drjit as dr
 from torch import Tensor
 
+from harness._methods.flow_matching import FlowMatching
 from harness.core.columns.bridge import Columns, Float
 from harness.core.columns.reflectance import reflectance_columns
 from harness.nets import defensive, discrete_flow_columns
 from harness.nets.conditional_flow import ConditionalFlow
 from harness.nets.coupling import unit_normal_columns
-from methods.flow_matching import FlowMatching
 
 
 class FlowMatchingPublished(FlowMatching):

@@ -8,11 +8,11 @@ import drjit as dr
 import torch
 from torch import Tensor
 
+from harness._methods.importance_baked_published import ImportanceBakedPublished
 from harness.core.columns.bridge import Columns, Float
 from harness.core.columns.reflectance import reflectance_columns
 from harness.core.protocol.method import Method
 from harness.nets.tangents import with_tangents
-from methods.importance_baked_published import ImportanceBakedPublished
 
 
 class ImportanceBakedSigned(ImportanceBakedPublished):

@@ -67,7 +67,7 @@ def copy_of_tree(folder: Path) -> Path:
     data = ("*.safetensors", "*.ckpt")
     for top in ("harness", "methods"):
         ignored = shutil.ignore_patterns("__pycache__", *data)
-        shutil.copytree(ROOT / top, folder / top, ignore=ignored)
+        shutil.copytree(ROOT / top, folder / top, symlinks=True, ignore=ignored)
         for file in (file for pattern in data for file in (ROOT / top).rglob(pattern)):
             (folder / file.relative_to(ROOT)).symlink_to(file)
     (folder / "tests").mkdir()

@@ -9,8 +9,8 @@ import torch
 from scipy import stats
 from torch import Tensor
 
+from harness._methods.blinn_phong import BlinnPhong, log1p_columns, log_exponent
 from harness.core.protocol.disk import inside_disk
-from methods.blinn_phong import BlinnPhong, log1p_columns, log_exponent
 from tests.materials import Plain
 
 EXPONENTS = [0.01, 3.0, 200.0, 1e4, 1e6]

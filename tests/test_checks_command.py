@@ -88,6 +88,16 @@ def adapter(tmp_path) -> str:
     return f"{file}:Mine"
 
 
+def test_quiet_prints_failures_and_the_counts(adapter) -> None:
+    run, asked = CliRunner().invoke, ["--quiet", "--material=suede", "--property=integral"]
+    good = run(application(), ["check", adapter, *asked])
+    assert good.exit_code == 0 and len(good.output.splitlines()) == 1
+    wrong = run(application(), ["check", adapter, *asked, "--param", "scale=1.03"])
+    lines = wrong.output.splitlines()
+    assert wrong.exit_code == 1 and lines[0].startswith("FAIL") and "failed" in lines[-1]
+    assert not any(line.startswith("pass ") for line in lines)
+
+
 def test_command_line(adapter) -> None:
     run = CliRunner().invoke
     chosen = ["--property=integral", "--property=coverage"]

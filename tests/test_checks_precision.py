@@ -10,6 +10,10 @@ import pytest
 import torch
 from torch import Tensor
 
+from harness._methods.histogram import Histogram
+from harness._methods.histogram_mixture import HistogramMixture
+from harness._methods.improved_baseline import ImprovedBaseline
+from harness._methods.tabulated import Tabulated
 from harness.checks.finding import verdict
 from harness.checks.precision import check_bfloat16, check_float64
 from harness.checks.subject import Subject
@@ -17,10 +21,6 @@ from harness.core.protocol.disk import inside_disk
 from harness.core.protocol.material import Material
 from harness.core.protocol.method import Budget, DiskSample, FitReport, Method
 from harness.nets.extremes import held
-from methods.histogram import Histogram
-from methods.histogram_mixture import HistogramMixture
-from methods.improved_baseline import ImprovedBaseline
-from methods.tabulated import Tabulated
 from tests import planted
 from tests.check_subjects import SEEDS, case, found, subject, worst
 

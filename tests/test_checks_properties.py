@@ -15,6 +15,10 @@ import pytest
 import torch
 from torch import Tensor, nn
 
+from harness._methods.histogram import Histogram
+from harness._methods.histogram_mixture import HistogramMixture
+from harness._methods.improved_baseline import ImprovedBaseline
+from harness._methods.tabulated import Tabulated
 from harness.checks import batches, devices
 from harness.checks.edges import check_edges, check_outside
 from harness.checks.finding import Finding
@@ -24,10 +28,6 @@ from harness.core.protocol.disk import inside_disk, square_to_disk
 from harness.core.protocol.material import Material
 from harness.core.protocol.method import DiskSample, Method
 from harness.fitting.module_method import ModuleMethod
-from methods.histogram import Histogram
-from methods.histogram_mixture import HistogramMixture
-from methods.improved_baseline import ImprovedBaseline
-from methods.tabulated import Tabulated
 from tests import planted
 from tests.check_subjects import SEEDS, Bump, case, found, subject, worst
 

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from harness import load_results
+from harness.cli.list import KINDS
 from harness.cli.main import VERBS, main
 from tests import fakes
 
@@ -42,7 +43,7 @@ def test_version(capsys: pytest.CaptureFixture[str]):
     assert capsys.readouterr().out.strip() == __version__
 
 
-@pytest.mark.parametrize("kind", ["methods", "materials", "scenes", "measures", "suites", "cases"])
+@pytest.mark.parametrize("kind", KINDS)
 def test_list(kind: str, capsys: pytest.CaptureFixture[str]):
     assert main(["list", kind]) == 0
     lines = capsys.readouterr().out.splitlines()

@@ -10,9 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch import Tensor
 
+from harness._methods.native import Native
 from harness.core.protocol.disk import inside_disk, square_to_disk, to_direction
 from harness.materials import registry
-from methods.native import Native
 from tests.disk import compare
 from tests.walks import (
     albedo,

@@ -123,7 +123,7 @@ def test_slices_are_means_of_eval(name):
 @each
 def test_slices_hold_a_lobe_narrower_than_a_cell(name):
     """At the least roughness the sum of a coarse slice is the mean weight of the sampler."""
-    from methods.native import Native
+    from harness._methods.native import Native
 
     fix = {p.name: p.low for p in FAMILIES[name].model if p.name.startswith(("alpha", "rough"))}
     material, method, n = fixed(name, **fix), Native(), 1 << 16

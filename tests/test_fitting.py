@@ -11,6 +11,7 @@ import pytest
 import torch
 from torch import Tensor, nn
 
+from harness._methods.improved_baseline import ImprovedBaseline
 from harness.core.protocol.disk import disk_to_square, inside_disk
 from harness.core.protocol.errors import BudgetExceeded
 from harness.core.protocol.method import Budget
@@ -18,7 +19,6 @@ from harness.fitting import train, until
 from harness.fitting.targets import Targets, cells, tabulate
 from harness.fitting.train import minimise
 from harness.fitting.until import Validation, fit_until
-from methods.improved_baseline import ImprovedBaseline
 from tests.materials import MATERIALS, HalfBlack, Plain, Tilted
 
 BUDGET = Budget(steps=30, conditions=16, directions=16, resolution=16, pool=64)

@@ -12,6 +12,7 @@ import torch
 from torch import Tensor
 from torch.func import jacfwd, vmap
 
+from harness._methods.flow_matching import FlowMatching
 from harness.core import registry
 from harness.core.columns.bridge import columns_of, tensor_of
 from harness.core.protocol import counting
@@ -26,7 +27,6 @@ from harness.nets.mixture_base import BASES, MixtureBase
 from harness.nets.solvers import SOLVERS
 from harness.nets.velocity import Velocity
 from harness.stats.chisquare import sidak
-from methods.flow_matching import FlowMatching
 from tests.disk import compare
 from tests.materials import MATERIALS
 

@@ -9,6 +9,8 @@ import pytest
 import torch
 from scipy.stats import chi2
 
+from harness._methods.neural_spline_flow import NeuralSplineFlow
+from harness._methods.realnvp import RealNVP
 from harness.core.columns.bridge import columns_of
 from harness.core.protocol.disk import inside_disk
 from harness.core.protocol.errors import InputError, StateRefused
@@ -16,8 +18,6 @@ from harness.core.protocol.method import Budget
 from harness.fitting.steady import STEADY, UNIT
 from harness.nets import spline
 from harness.nets.extremes import FAR
-from methods.neural_spline_flow import NeuralSplineFlow
-from methods.realnvp import RealNVP
 from tests.flow_inputs import BELOW_ONE, Plain, inputs
 
 METHODS = {

@@ -11,6 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import chi2
 
+from harness._methods.histogram import Histogram
+from harness._methods.histogram_mixture import HistogramMixture
 from harness.core.columns.bridge import columns_of, tensor_of
 from harness.core.protocol.disk import inside_disk
 from harness.core.protocol.errors import InputError
@@ -20,8 +22,6 @@ from harness.fitting.targets import Targets
 from harness.nets.alias import AliasTables, split_bins, whole_units
 from harness.nets.basis import BasisHistograms, Volume
 from harness.nets.squares import Squares
-from methods.histogram import Histogram
-from methods.histogram_mixture import HistogramMixture
 
 BELOW_ONE = 1 - 2**-24
 

@@ -2,13 +2,23 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import pytest
 
+from harness.core.paths import ROOT
 from harness.core.protocol.errors import InputError
 from harness.identity.named_files import digest_of, named_in, replaced
-from harness.identity.verdict import ADAPTER, FIT, MATERIAL, VERSIONS, changed_units, judge
+from harness.identity.verdict import (
+    ADAPTER,
+    FIT,
+    MATERIAL,
+    PLACES,
+    VERSIONS,
+    changed_units,
+    judge,
+)
 
 STORED = {ADAPTER: "1", MATERIAL: "2", FIT: "3", VERSIONS: "4"}
 
@@ -128,3 +138,20 @@ def test_files_in_parameters_are_found(tmp_path):
     after = replaced(params, tmp_path)
     assert after["more"][0] != before["more"][0] and after["weights"] == before["weights"]
     assert list(named_in("\0.x" + "a" * 5000, tmp_path)) == []
+
+
+def test_a_part_that_differs_in_where_files_are_alone_stands():
+    """And no other: one unit more that is not such a place is asked about."""
+    place = sorted(PLACES)[0]
+    for changed, state in (([place], "equivalent"), ([place, "a.py: f"], "stale"), ([], "stale")):
+        found = judge({"measure": "1"}, {"measure": "2"}, None, lambda *_, c=changed: c)
+        assert found.state == state, changed
+
+
+def test_those_places_are_units():
+    """A name that is gone would hide nothing, and say so."""
+    for place in PLACES:
+        file, _, name = place.partition(": ")
+        if name not in ("METHODS", "ROOT") or "paths" in file:
+            text = (ROOT / file).read_text("utf-8")
+            assert re.search(rf"^(def )?{name}\b|, {name} =", text, re.MULTILINE), place

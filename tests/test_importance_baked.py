@@ -94,7 +94,7 @@ def test_stored_slice_and_weights(maps):
 
 def test_maps_between_their_centres():
     """As ImportanceMap interpolates them, which is written differently."""
-    from methods.importance_baked_published import between
+    from harness._methods.importance_baked_published import between
 
     maps = torch.rand(3, 5, 5, 2, generator=rng(1), dtype=torch.float64)
     u = torch.rand(3, 200, 2, generator=rng(2), dtype=torch.float64)

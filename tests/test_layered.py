@@ -13,12 +13,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch import Tensor
 
+from harness._methods.native import Native
 from harness.core.columns.bridge import columns_of, tensor_of
 from harness.core.protocol.disk import cos_theta, inside_disk, square_to_disk
 from harness.materials import registry
 from harness.materials.mitsuba_bsdf import MitsubaMaterial
 from harness.mitsuba_runtime import variant
-from methods.native import Native
 from tests.disk import compare
 from tests.walks import (
     albedo,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import struct
+import sys
 
 import numpy as np
 import pytest
@@ -198,6 +199,58 @@ def test_nbrdf_refusals(tmp_path, spoil, said):
     spoil(tmp_path)
     with pytest.raises(InputError, match=said):
         materials.validate({"name": "m", "type": "nbrdf", "file": "red_fc1.npy"}, tmp_path)
+
+
+def keras(path, arrays, form="{}/{}", model="model_weights/"):
+    """The same network as Keras 2 or 3 writes it, with what else such files hold."""
+    h5py = pytest.importorskip("h5py")
+    with h5py.File(path, "w") as file:
+        file.attrs["model_config"] = "{}"
+        file["optimizer_weights/iterations"] = np.int64(3)
+        for i in (1, 2, 3):
+            layer = model + form.format("dense", "kernel:0").replace("dense", f"dense_{i}")
+            other = model + form.format("dense", "bias:0").replace("dense", f"dense_{i}")
+            file[layer], file[other] = arrays[f"fc{i}"], arrays[f"b{i}"]
+
+
+@pytest.mark.parametrize(
+    ("form", "model"), [("{0}/{0}/{1}", "model_weights/"), ("{0}/{1}", ""), ("{0}/vars/{1}", "l/")]
+)
+def test_nbrdf_of_keras(tmp_path, form, model):
+    """Is the network of the six arrays, and counts by content."""
+    arrays = network(tmp_path)
+    keras(tmp_path / "red.h5", arrays, form, model)
+    plain = materials.make({"name": "m", "type": "nbrdf", "file": "red_fc1.npy"}, tmp_path)
+    spec = {"name": "m", "type": "nbrdf", "file": "red.h5"}
+    material = materials.make(spec, tmp_path)
+    condition = plain.conditions(64, torch.Generator().manual_seed(1))
+    wo = 0.5 * condition
+    assert torch.equal(material.eval(condition, wo), plain.eval(condition, wo))
+    assert [path.name for path in named_files(spec, tmp_path)] == ["red.h5"]
+    before = material.identity()
+    keras(tmp_path / "red.h5", arrays | {"b3": arrays["b3"] + 1}, form, model)
+    assert materials.identity(spec, tmp_path) != before
+
+
+@pytest.mark.parametrize(
+    ("spoil", "said"),
+    [
+        (lambda f, a: f.write_bytes(b"\x89HDF\r\n\x1a\n"), "no HDF5 file that can be read"),
+        (lambda f, a: keras(f, a | {"fc2": np.zeros((3, 3), "f")}), r"\[21, 21\] .* found 0"),
+        (lambda f, a: keras(f, {k: np.zeros(v.shape, "S4") for k, v in a.items()}), "found 0"),
+    ],
+)
+def test_nbrdf_of_keras_refusals(tmp_path, spoil, said):
+    spoil(tmp_path / "red.h5", network(tmp_path))
+    with pytest.raises(InputError, match=said):
+        materials.validate({"name": "m", "type": "nbrdf", "file": "red.h5"}, tmp_path)
+
+
+def test_nbrdf_of_keras_without_h5py(tmp_path, monkeypatch):
+    (tmp_path / "red.h5").write_bytes(b"\x89HDF\r\n\x1a\n")
+    monkeypatch.setitem(sys.modules, "h5py", None)
+    with pytest.raises(InputError, match="needs the package h5py"):
+        materials.validate({"name": "m", "type": "nbrdf", "file": "red.h5"}, tmp_path)
 
 
 # --- RGL with spectra ------------------------------------------------------------------

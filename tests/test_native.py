@@ -5,11 +5,11 @@ from __future__ import annotations
 import pytest
 import torch
 
+from harness._methods.native import Native
 from harness.core.columns.bridge import columns_of, tensor_of
 from harness.core.protocol.disk import cos_theta, inside_disk
 from harness.core.protocol.errors import Unsupported
 from harness.materials import registry as materials
-from methods.native import Native
 from tests.materials import Plain, normal_mapped
 
 

@@ -1,8 +1,10 @@
 """Pictures of a neural material beside its truth: how slices are shown."""
 
 import numpy as np
+import pytest
 import torch
 
+from harness.core.protocol.errors import InputError
 from harness.mitsuba_runtime import variant
 from harness.training import preview
 
@@ -35,3 +37,17 @@ def test_a_slice_that_is_no_number_is_not_hidden():
     broken = preview.draw(None, lambda _: lambda *q: dim(*q) * torch.nan, 32, 1, "cpu")
     (_, lower), images = shown(preview._figure([truth, broken], "broken"))
     assert np.isnan(np.ma.filled(images[lower[3]], np.nan)[4, 4]).all()
+
+
+def test_where_a_preview_goes(tmp_path):
+    """Is found out before anything is drawn: new folders, old ones, wrong names, a file above."""
+    from harness.cli.material import _png
+
+    file = tmp_path / "leather.safetensors"
+    assert _png(None, file) is None
+    assert _png(tmp_path / "new" / "x.png", file) == tmp_path / "new" / "x.png"
+    assert _png(tmp_path, file) == tmp_path / "leather-preview.png"
+    (tmp_path / "file").touch()
+    for out, said in (("x.jpg", "ends in .png"), ("file/y.png", "cannot be written")):
+        with pytest.raises(InputError, match=said):
+            _png(tmp_path / out, file)

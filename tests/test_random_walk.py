@@ -18,13 +18,13 @@ from harness.mitsuba_runtime import variant
 
 variant.use("cpu")
 
+from harness._methods.cosine import Cosine  # noqa: E402
+from harness._methods.native import Native  # noqa: E402
+from harness._methods.random_walk import RandomWalk  # noqa: E402
 from harness.rendering.plugin import SampledBSDF  # noqa: E402
 from harness.rendering.prepared import prepare  # noqa: E402
 from harness.scenes import registry as scenes  # noqa: E402
 from harness.stats.ztest import agreement  # noqa: E402
-from methods.cosine import Cosine  # noqa: E402
-from methods.native import Native  # noqa: E402
-from methods.random_walk import RandomWalk  # noqa: E402
 from tests.materials import Plain  # noqa: E402
 from tests.walks import family, rng  # noqa: E402
 

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from harness import Method
+from harness.cli.main import main
 from harness.core import registry
 from harness.core.protocol.errors import InputError
 from harness.identity.digests import Part, SourceDigest
@@ -163,3 +164,23 @@ def test_covered_is_read_again_after_an_edit(tmp_path: Path):
     before = covered(file)
     file.write_text("A = 1000\n")
     assert covered(file) != before
+
+
+def test_a_broken_entry_point_hides_no_other(tmp_path, monkeypatch, capsys):
+    """It is listed with the reason, and refused when it is asked for."""
+    (tmp_path / "broken_package").mkdir()
+    (tmp_path / "broken_package" / "__init__.py").write_text("raise RuntimeError('half done')\n")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    points = [
+        EntryPoint("broken", "broken_package.samplers:Good", registry.GROUP),
+        EntryPoint("gone", "no_such_package:Good", registry.GROUP),
+        EntryPoint("classless", "json", registry.GROUP),
+    ]
+    monkeypatch.setattr(registry, "entry_points", lambda group: points)
+    assert main(["list", "methods"]) == 0
+    lines = {line.split()[0]: line for line in capsys.readouterr().out.splitlines()}
+    assert "half done" in lines["broken"] and "cannot" in lines["broken"]
+    assert all("broken: method" in lines[point.name] for point in points)
+    assert registry.make("cosine").name == "cosine" and "cosine" in lines
+    with pytest.raises(InputError, match="half done"):
+        registry.make("broken")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 
 from harness.cli.main import main
@@ -54,6 +56,20 @@ def test_all_mistakes_are_listed(written, capsys, tmp_path):
     for said in ("difuse", "reflects nothing", "did you mean 'scale'", "'wdth'", "icosahedron"):
         assert sum(said in line for line in lines) == 1, (said, lines)
     assert len(lines) == 5 and all(line.startswith(f"error: {file}: ") for line in lines)
+
+
+def test_a_mistake_of_a_scene_is_said_once(written, capsys):
+    """Not once more with every material; and what one material lacks, once for each."""
+    more = "{type: diffuse}}\n  - {name: slate, type: mitsuba, bsdf: {type: diffuse}"
+    file = written(shape="icosahedron", chalk=more)
+    assert main(["validate", file]) == 2
+    (line,) = capsys.readouterr().err.strip().splitlines()
+    assert "'room' with 'chalk'" in line and "icosahedron" in line
+    text = Path(written(chalk=more)).read_text()
+    Path(file).write_text(text.replace("metal}", "metal, effects: [environment, parallax]}"))
+    assert main(["validate", file]) == 2
+    lines = capsys.readouterr().err.strip().splitlines()
+    assert [sum(name in line for line in lines) for name in ("'chalk'", "'slate'")] == [1, 1], lines
 
 
 def test_a_material_that_cannot_be_seen(written, capsys, tmp_path):

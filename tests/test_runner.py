@@ -377,7 +377,15 @@ def test_time_left(tmp_path: Path):
     assert str(pace) == ""
     fits = [t for t in plan.trials if t.measure == "fit"]
     pace.finish(fits[0], 10.0)
-    assert str(pace) == "about 2 min left"  # 11 trials of 10 s
+    count = sum(t.measure == "fit" for t in plan.trials) - 1
+    assert str(pace) == f"more than {duration(10.0 * count)} left"  # of other measures, who knows
+    for trial in (t for t in plan.trials if t.measure != "fit"):
+        pace.finish(trial, 20.0 if trial.method == plan.baseline else 1.0)
+    assert str(pace) == f"about {duration(10.0 * count)} left"
+    again = Pace([t for t in plan.trials if t.measure != "fit"], {})
+    again.spent = pace.spent
+    left = sum(20.0 if t.method == plan.baseline else 1.0 for t in plan.trials if t.fit)
+    assert str(again) == f"about {duration(left)} left"  # of each method what it took
     assert (duration(0.2), duration(89), duration(91), duration(12000)) == (
         "1 s", "89 s", "2 min", "3 h 20 min"
     )  # fmt: skip

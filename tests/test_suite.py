@@ -313,7 +313,7 @@ def test_unknown_profile(tmp_path: Path):
     path = fakes.suite(tmp_path, profiles={"quick": {}, "full": {}})
     with pytest.raises(InputError, match="unknown profile 'fulll'; did you mean 'full'"):
         make_plan(load(path), "fulll")
-    with pytest.raises(InputError, match="the suite has none"):
+    with pytest.raises(InputError, match="unknown profile 'full'; known: fast"):
         make_plan(load(fakes.suite(tmp_path)), "full")
 
 

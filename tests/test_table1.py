@@ -15,7 +15,9 @@ SHOWN = ["cosine", "improved-baseline", "two-lobe", "realnvp", "native"]
 
 @pytest.fixture(scope="module")
 def table(tmp_path_factory: pytest.TempPathFactory) -> Table:
-    folder = Made(measures=("cost",), methods=SHOWN).write(tmp_path_factory.mktemp("table1"))
+    asked = {"tables": ["table1"], "figures": None}
+    made = Made(measures=("cost",), methods=SHOWN, report=asked)
+    folder = made.write(tmp_path_factory.mktemp("table1"))
     table = part("tables", "table1")(Results.load(folder))
     assert isinstance(table, Table), table
     return table
@@ -41,6 +43,15 @@ def test_numbers_are_what_is_recorded(table: Table) -> None:
 def test_a_disturbed_timing_is_marked(table: Table) -> None:
     assert "disturbed: cost" in cell(table, "two-lobe", "rendering ms/spp").warning
     assert not cell(table, "cosine", "rendering ms/spp").warning
+
+
+def test_a_suite_of_ones_own_gets_no_papers_figures(tmp_path) -> None:
+    """Which one that names the table does."""
+    folder = Made(measures=("cost", "equal-time"), methods=SHOWN).write(tmp_path)
+    results = Results.load(folder)
+    for name in ("table1", "table2"):
+        made = part("tables", name)(results)
+        assert isinstance(made, Table) and neusample().short not in str(made), name
 
 
 def test_the_paper_has_columns_of_its_own(table: Table) -> None:

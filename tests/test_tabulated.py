@@ -8,11 +8,11 @@ import pytest
 import torch
 from torch import Tensor
 
+from harness._methods.tabulated import Tabulated
 from harness.core.protocol.disk import inside_disk
 from harness.core.protocol.errors import InputError
 from harness.core.protocol.material import Material
 from harness.fitting.targets import cells, tabulate
-from methods.tabulated import Tabulated
 from tests.materials import HalfBlack, Plain, Tilted
 
 

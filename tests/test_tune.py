@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 import yaml
 
+from harness._methods.neural_spline_flow import NeuralSplineFlow
 from harness.cli.main import main
 from harness.core.protocol.errors import InputError
 from harness.core.protocol.method import Budget
@@ -16,7 +17,6 @@ from harness.runner.tuning import Tried, forms, space
 from harness.suite.load import load
 from harness.suite.plan import make_plan
 from harness.suite.tuned import with_tuned
-from methods.neural_spline_flow import NeuralSplineFlow
 
 
 def test_space_is_knobs_and_forms():

@@ -51,7 +51,7 @@ def albedo(material: Material, row: Tensor, n: int, seed: int) -> tuple[Tensor, 
 
     At points of the native sampler, whose density is exact.
     """
-    from methods.native import Native
+    from harness._methods.native import Native
 
     method = Native()
     method.bind(material)

@@ -38,6 +38,9 @@ def check(
     ] = None,
     seed: Annotated[int, typer.Option(help="Seed of the fit and of all samples.")] = 0,
     device: Annotated[str, typer.Option(help="cpu or cuda.")] = "cpu",
+    quiet: Annotated[
+        bool, typer.Option("--quiet", "-q", help="Only failures, and the counts.")
+    ] = False,
     mitsuba: Annotated[
         bool, typer.Option("--mitsuba", help="Mitsuba's own chi-square test of the plugin, too.")
     ] = False,
@@ -69,7 +72,8 @@ def check(
     unsupported = []
     skipped: set[tuple[str, str, str]] = set()
     for part in plan.parts:
-        console.print(f"{method} on {part.material}", style="bold", soft_wrap=True)
+        if not quiet:
+            console.print(f"{method} on {part.material}", style="bold", soft_wrap=True)
         try:
             for finding, hard in carry_out(plan, part, make(method, **given), seed, device):
                 # What does not apply is said once, not in every case.
@@ -82,11 +86,13 @@ def check(
                 if not hard and not part.ordinary:  # a fit for the sake of hard cases
                     where = f"--case={part.cases[0].name}"
                 what = [] if finding.property == "fit" else [f"--property={finding.property}"]
-                show(console, finding, shlex.join([*again, where, *what, *ending]))
+                if not (quiet and finding.ok):
+                    show(console, finding, shlex.join([*again, where, *what, *ending]))
         except Unsupported as reason:
             unsupported.append(str(reason))
             counts["skip"] += 1
-            console.print(f"skip      unsupported: {reason}", style="dim", soft_wrap=True)
+            if not quiet:
+                console.print(f"skip      unsupported: {reason}", style="dim", soft_wrap=True)
     if len(unsupported) == len(plan.parts):
         raise InputError(f"nothing to check: {unsupported[0]}")
     if not counts.total():

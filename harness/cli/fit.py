@@ -27,10 +27,10 @@ def register(app: typer.Typer) -> None:
         retry: Retry = None,
         device: Device = "cpu",
     ) -> None:
-        """Run the fits that are not stored yet, and keep all where later runs find them.
+        """Run the fits that are not stored yet, and write all to files beside the results.
 
-        A run takes such a fit for its own, with the time that it took here and the machine it
-        took it on, unless it is told to --refit.
+        With --out harness/fitted they come with the harness: every run then takes such a fit for
+        its own, with the time and the machine that it took, unless it is told to --refit.
         """
         from rich.console import Console
 

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-KINDS = ("methods", "materials", "scenes", "measures", "suites", "cases")
+KINDS = ("methods", "materials", "scenes", "measures", "metrics", "suites", "cases")
 
 
 def register(app: typer.Typer) -> None:
@@ -17,7 +17,7 @@ def register(app: typer.Typer) -> None:
     def list_(
         kind: Annotated[str, typer.Argument(help=", ".join(KINDS))],
     ) -> None:
-        """Print the names of all methods, materials, scenes, measures, suites or hard cases."""
+        """Print the names of all methods, materials, scenes, measures, metrics, suites or cases."""
         from harness.core.protocol.errors import InputError, nearest
 
         if kind not in KINDS:
@@ -47,6 +47,11 @@ def _registry(kind: str) -> tuple[list[str], Callable[[str], str]]:
         from harness.measures import registry as measures
 
         return measures.names(), measures.describe
+    if kind == "metrics":
+        from harness.analysis.metrics import METRICS
+
+        about = {f"{m.measure} {m.name}": f"[{m.unit}] {m.about}" for m in METRICS}
+        return list(about), lambda name: about[name]
     if kind == "cases":
         from harness.checks.catalogue import CATALOGUE
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Annotated
 
@@ -142,7 +143,7 @@ def register(app: typer.Typer) -> None:
 
         _ready(device)
         file = _file(name)
-        written = pictures.write(file, description, out, size, spp, device)
+        written = pictures.write(file, description, _png(out, file), size, spp, device)
         Console(highlight=False).print(f"{written}", soft_wrap=True)
 
     @material.command()
@@ -159,6 +160,25 @@ def register(app: typer.Typer) -> None:
 
         _ready(device)
         Console().print(timing.table(_file(name), rows, rounds, device))
+
+
+def _png(out: Path | None, file: Path) -> Path | None:
+    """Where the picture goes; a folder gets NAME-preview.png. Asked before anything is traced."""
+    from harness.core.protocol.errors import InputError
+
+    if out is None:
+        return None
+    if out.is_dir():
+        out = out / f"{file.stem}-preview.png"
+    if out.suffix.lower() != ".png":
+        raise InputError(f"--out {out}: expected a name that ends in .png, or a folder")
+    try:
+        out.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"--out {out}: cannot be written: {error.strerror}") from None
+    if not os.access(out if out.exists() else out.parent, os.W_OK):
+        raise InputError(f"--out {out}: cannot be written: no permission")
+    return out
 
 
 def _ready(device: str) -> None:

@@ -13,7 +13,9 @@ if TYPE_CHECKING:
     from harness.suite.plan import Plan
 
 Suite = Annotated[str, typer.Argument(help="A suite: a .yaml file, or a name of suites/.")]
-Profile = Annotated[str | None, typer.Option(help="quick or full; by default quick.")]
+Profile = Annotated[
+    str | None, typer.Option(help="quick, full, or fast for rough numbers; by default quick.")
+]
 Only = Annotated[str | None, typer.Option(help="A part of it, such as material=A,method=B,C.")]
 Retry = Annotated[str | None, typer.Option(help="failed: run failed trials again.")]
 Device = Annotated[str, typer.Option(help="cpu or cuda.")]
@@ -34,11 +36,11 @@ def failed_again(retry: str | None) -> bool:
 
 def planned(loaded: Loaded, profile: str | None, device: str) -> Plan:
     """The suite's trials, on a machine that can run them."""
-    from harness.runner import preflight
+    from harness.runner import preflight, shipped
     from harness.suite.plan import make_plan
 
     preflight.ready(device)
-    return make_plan(loaded, profile, device)
+    return make_plan(loaded, profile, device, shipped.find)
 
 
 def run_and_report(plan: Plan, results: Path, options: Options) -> int:

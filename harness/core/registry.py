@@ -21,12 +21,14 @@ from pathlib import Path
 from typing import Any
 
 from harness.core.classes import declared, named, read_python
-from harness.core.paths import ROOT
+from harness.core.paths import METHODS
 from harness.core.protocol.errors import InputError, nearest
 from harness.core.protocol.method import Method
 
-METHODS = ROOT / "methods"
 GROUP = "harness.methods"
+METHODS_PACKAGE, IMPORTED_FROM = "methods", "harness._methods"
+"""The package of the shipped methods: in identities, and as it is imported. A package called
+``methods`` may be anybody's."""
 
 
 @dataclass(frozen=True)
@@ -55,7 +57,7 @@ def find(name: str) -> Found:
     shipped = named(METHODS)
     if name in shipped:
         item = shipped[name]
-        return Found(name, item.class_name, item.file, "methods", item.summary)
+        return Found(name, item.class_name, item.file, METHODS_PACKAGE, item.summary)
     broken = METHODS / f"{name.replace('-', '_')}.py"
     if broken.is_file() and not broken.name.startswith("_"):
         read_python(broken)  # says what is wrong if it is not valid Python
@@ -67,8 +69,12 @@ def find(name: str) -> Found:
 
 
 def describe(name: str) -> str:
-    """One line about the method, from its docstring."""
-    return find(name).summary
+    """One line about the method, from its docstring; or why it cannot be used."""
+    try:
+        return find(name).summary
+    except InputError as error:
+        # One that is broken, of a package that is installed: the others are there all the same.
+        return f"(broken: {error})"
 
 
 def load(name: str) -> type[Method]:
@@ -164,10 +170,10 @@ def _find_entry_point(point: EntryPoint) -> Found:
 def _import(found: Found) -> Any:
     """The module that holds the class, imported under its proper name where it has one."""
     if found.package:
-        if found.package == "methods" and str(ROOT) not in sys.path:
-            sys.path.append(str(ROOT))
+        shipped = found.file.parent == METHODS
+        package = IMPORTED_FROM if shipped else found.package
         name = found.file.stem if found.file.name != "__init__.py" else ""
-        return importlib.import_module(".".join(filter(None, [found.package, name])))
+        return importlib.import_module(".".join(filter(None, [package, name])))
     # A lone file: its module name holds its path, so that two files of one name can meet.
     name = f"harness_adapter_{_mark(found.file)}_{found.file.stem}"
     stamp = found.file.stat().st_mtime_ns

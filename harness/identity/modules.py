@@ -12,6 +12,8 @@ from harness.core.protocol.errors import InputError
 from harness.identity.cache import Cache
 from harness.identity.units import CLASS
 
+SHIPPED, CALLED = "harness._methods", "methods"
+"""The package that a process imports the shipped methods from, and what identities call it."""
 BESIDE = "beside_"
 """Begins the name that stands for a folder of lone files."""
 
@@ -25,6 +27,13 @@ class Module:
     package: str
     data: dict[str, Any]
     effects: list[str] = field(default_factory=list)
+
+
+def called(name: str) -> str:
+    """The name of a module in identities: that of the folder where a shipped method is written."""
+    if name == SHIPPED or name.startswith(SHIPPED + "."):
+        return CALLED + name.removeprefix(SHIPPED)
+    return name
 
 
 class Modules:
@@ -57,6 +66,7 @@ class Modules:
 
     def module(self, name: str) -> Module | None:
         """The module called ``name`` if it is one of ours."""
+        name = called(name)
         if name not in self._modules:
             self._modules[name] = self._load(name)
         return self._modules[name]
@@ -121,6 +131,9 @@ class Modules:
         return self._loaded[name]
 
     def _absolute(self, module: Module, base: str) -> str:
+        return called(self._written_out(module, base))
+
+    def _written_out(self, module: Module, base: str) -> str:
         level = len(base) - len(base.lstrip("."))
         if not level:
             top = module.name.partition(".")[0]

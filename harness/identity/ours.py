@@ -7,9 +7,10 @@ from functools import lru_cache
 from pathlib import Path
 
 from harness.core.classes import named
-from harness.core.paths import ROOT
+from harness.core.paths import METHODS, ROOT
 from harness.identity.cache import Cache, default_folder
 from harness.identity.digests import Digests
+from harness.identity.modules import CALLED
 from harness.identity.tree import Tree
 
 TABLES = (
@@ -23,7 +24,7 @@ TABLES = (
 
 def _shipped_method(name: str) -> list[str]:
     # The registry's own name for this folder would load PyTorch, which a report does without.
-    found = named(ROOT / "methods").get(name)
+    found = named(METHODS).get(name)
     return [f"methods.{found.file.stem}:{found.class_name}"] if found else []
 
 
@@ -36,5 +37,6 @@ def digests(root: Path = ROOT, cached: bool = True) -> Digests:
     """Digests of the tree below ``root``, as it is when they are first asked for."""
     cache = Cache(default_folder() if cached else None)
     atexit.register(cache.save)  # once: it is a file of megabytes
-    roots = {top: root / top for top in ("harness", "methods")}
+    folder = root / "harness"
+    roots = {"harness": folder, CALLED: (folder / "_methods").resolve()}
     return Digests(Tree(roots, cut=TABLES, by_name=BY_NAME, cache=cache))

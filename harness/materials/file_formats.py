@@ -11,8 +11,8 @@ _STARTS = (
     (b"!FMF", "a BTF of the University of Bonn: expected 'type: btf'"),
     (b"!PVF", "a BTF of the University of Bonn in vertex factors, which cannot be read"),
     (b"!BDI", "a raw BTF of the University of Bonn, which cannot be read"),
-    (b"\x89HDF\r\n\x1a\n", "an HDF5 file (as Keras writes), which cannot be read: export its arrays"
-     " with numpy.save"),
+    (b"\x89HDF\r\n\x1a\n", "an HDF5 file (as Keras writes): expected 'type: nbrdf' and a name that"
+     " ends in .h5 if it is a network of Sztrajman et al."),
     (b"\x93NUMPY", "an array of numpy: expected 'type: nbrdf' if it is one of Sztrajman et al."),
     (b"PK\x03\x04", "an archive (as torch.save or numpy.savez write): expected 'type: neural' if"
      " it is a checkpoint of NeuMIP"),

@@ -6,8 +6,8 @@ vector (with the half vector at azimuth zero) to the BRDF:
 
 .. math:: f = \max(0, e^{W_3\,a(W_2\,a(W_1 [h, d] + b_1) + b_2) + b_3} - 1), \qquad a = \max(0, .)
 
-Nothing in the files is executed: what is pickled is refused. The same network in a ``.h5`` file
-of Keras is refused by name.
+Nothing in the files is executed: what is pickled is refused. The same network may be in a ``.h5``
+file of Keras (:mod:`harness.materials.nbrdf_h5`).
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from harness.core.columns.bridge import Columns
 from harness.core.columns.material import ColumnMaterial
 from harness.core.protocol.errors import InputError
+from harness.materials import nbrdf_h5
 from harness.materials.file_formats import said_of
 from harness.materials.half_difference import direction, half_and_difference
 
@@ -29,7 +30,9 @@ SHAPES = {"fc1": (6, 21), "b1": (21,), "fc2": (21, 21), "b2": (21,), "fc3": (21,
 
 
 def files(path: Path) -> dict[str, Path]:
-    """The six files, by array, of which ``path`` is one."""
+    """The six files, by array, of which ``path`` is one; or the one that holds all."""
+    if path.suffix in nbrdf_h5.SUFFIXES:
+        return {"h5": path}
     for part in SHAPES:
         if path.name.endswith(f"{part}.npy"):
             start = path.name.removesuffix(f"{part}.npy")
@@ -48,8 +51,11 @@ def read(path: Path, where: str) -> dict[str, NDArray[np.float32]]:
         known = said_of(path) if path.is_file() else ""
         is_one = f"it is {known}" if known else "its name ends otherwise"
         raise InputError(
-            f"{where}: {path}: expected one of six files NAME_fc1.npy, NAME_b1.npy, ...: {is_one}"
+            f"{where}: {path}: expected one of six files NAME_fc1.npy, NAME_b1.npy, ..., or"
+            f" NAME.h5: {is_one}"
         )
+    if "h5" in found:
+        return nbrdf_h5.read(path, SHAPES, where)
     arrays = {}
     for key, file in found.items():
         try:

@@ -6,10 +6,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from harness.core.paths import ROOT
+from harness.core.paths import SUITES
 from harness.core.protocol.errors import InputError, nearest
 
-DESCRIPTIONS = ROOT / "suites" / "materials"
+DESCRIPTIONS = SUITES / "materials"
 """Where the descriptions that come with the harness are."""
 
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from rich.console import Console
 
-from harness.analysis.results import Results
+from harness.analysis.results import NO_TRIAL, Results
 from harness.core.protocol.errors import InputError, nearest
 from harness.report.formats.console import print_table
 from harness.report.formats.csv import csv
@@ -97,11 +97,19 @@ def _tables(results: Results) -> tuple[list[Table], list[str]]:
     names = _names(results, "tables", known)
     for name in [*(n for n in names if n != "status"), "status"]:
         table = known[name].load()(results)
+        asked = results.wanted("tables") is not None
         if not isinstance(table, str):
-            tables.append(planned_only(table))
-        elif results.wanted("tables") is not None:
+            if asked or not _of_nothing_planned(table):
+                tables.append(planned_only(table))
+        elif asked:
             skipped.append(f"table {name}: {table}")
     return tables, skipped
+
+
+def _of_nothing_planned(table: Table) -> bool:
+    """Whether all that it could say is that the suite has no such trial."""
+    cells = [cell for section in table.sections for row in section.rows for cell in row.cells]
+    return bool(cells) and all(NO_TRIAL in cell.missing for cell in cells)
 
 
 def _names(results: Results, kind: str, known: dict) -> list[str]:

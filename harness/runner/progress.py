@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections import Counter
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, SpinnerColumn, TextColumn
@@ -18,32 +19,42 @@ QUIET_SECONDS = 15.0
 
 
 class Pace:
-    """Time left, from what trials of the same measure took, in this run or an earlier one."""
+    """Time left, from what trials of the same measure took, in this run or an earlier one.
+
+    Of the same method if there were any, for methods differ by a hundred times. For a measure that
+    was not seen yet nothing is made up: then it is said to be more.
+    """
 
     def __init__(self, todo: list[Trial], stored: dict[str, Stored]):
-        self.left: dict[str, int] = {}
-        self.spent: dict[str, list[float]] = {}
-        for trial in todo:
-            self.left[trial.measure] = self.left.get(trial.measure, 0) + 1
+        self.left: Counter[tuple[str, str]] = Counter((t.measure, t.method) for t in todo)
+        self.spent: dict[tuple[str, str], list[float]] = {}
         for found in stored.values():
-            if found.status == "ok":
-                self.spent.setdefault(found.labels["measure"], []).append(found.seconds)
+            # What came with the harness took its time elsewhere.
+            if found.status == "ok" and not found.shipped:
+                key = (found.labels["measure"], found.labels["method"])
+                self.spent.setdefault(key, []).append(found.seconds)
 
     def finish(self, trial: Trial, seconds: float) -> None:
         """One trial less."""
+        key = (trial.measure, trial.method)
         # The baseline may run along without being counted.
-        self.left[trial.measure] = max(0, self.left.get(trial.measure, 0) - 1)
+        self.left[key] = max(0, self.left[key] - 1)
         if seconds:
-            self.spent.setdefault(trial.measure, []).append(seconds)
+            self.spent.setdefault(key, []).append(seconds)
 
     def __str__(self) -> str:
-        known = {m: sum(s) / len(s) for m, s in self.spent.items()}
-        if not known or not any(self.left.values()):
+        left = {key: count for key, count in self.left.items() if count}
+        known = {key: count * usual for key, count in left.items() if (usual := self._usual(key))}
+        if not known:
             return ""
-        # A measure that was not seen yet counts as much as the average of the others.
-        usual = sum(known.values()) / len(known)
-        seconds = sum(n * known.get(m, usual) for m, n in self.left.items())
-        return f"about {duration(seconds)} left"
+        words = "about" if len(known) == len(left) else "more than"
+        return f"{words} {duration(sum(known.values()))} left"
+
+    def _usual(self, key: tuple[str, str]) -> float:
+        """Mean seconds of the method in the measure, or of all methods in it; 0 if none was."""
+        own = self.spent.get(key, [])
+        spent = own or [s for (m, _), every in self.spent.items() if m == key[0] for s in every]
+        return sum(spent) / len(spent) if spent else 0.0
 
 
 class Progress:

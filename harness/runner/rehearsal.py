@@ -39,7 +39,9 @@ def check(loaded: Loaded, device: str) -> None:
             preflight.check_effects(plan, plan.trials)
         except InputError as error:
             # What is said of a material or scene by its place was said already.
-            lines += [] if found.mistakes and _of_an_entry(str(error)) else [str(error)]
+            known = found.mistakes and _of_an_entry(str(error))
+            if not known and not found.has_said(str(error)):
+                lines.append(str(error))
     if lines:
         raise Mistakes(lines)
 
@@ -48,6 +50,12 @@ class _Rehearsal:
     def __init__(self, suite: Suite):
         self.suite = suite
         self.mistakes: list[str] = []
+        self.said: dict[str, set[str]] = {}
+        """What was refused, by what it is of."""
+
+    def has_said(self, text: str) -> bool:
+        """Whether one of the mistakes says this, too."""
+        return any(said in text for every in self.said.values() for said in every)
 
     def methods(self) -> None:
         for spec in self.suite.methods:
@@ -90,16 +98,21 @@ class _Rehearsal:
             for material in pairs:
                 where = f"scenes: '{item.name}' with '{material.name}'"
                 scene = scenes[item.name]
-                self._noted(where, lambda s=scene, m=material: _rendered(s, m))
+                self._noted(where, lambda s=scene, m=material: _rendered(s, m), item.name)
 
-    def _noted(self, where: str, make: Callable[[], Any]) -> Any:
-        """What ``make`` gives; None and one more mistake if it refuses or fails."""
+    def _noted(self, where: str, make: Callable[[], Any], of: str = "") -> Any:
+        """What ``make`` gives; None and one more mistake if it refuses or fails.
+
+        What is wrong with a scene, which is ``of`` something, is said with one material alone.
+        """
         try:
             return make()
         except (Exception, SystemExit) as error:
             known = isinstance(error, InputError | Unsupported)
             said = str(error) if known else registry.oneline(error)
-            self.mistakes.append(f"{where}: {said}")
+            if not (of and said in self.said.get(of, ())):
+                self.mistakes.append(f"{where}: {said}")
+            self.said.setdefault(of, set()).add(said)
             return None
 
 

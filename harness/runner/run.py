@@ -70,6 +70,8 @@ def run(plan: Plan, results: Path, options: Options, console: Console) -> int:
             preflight.check_trials(plan, todo.trials)
             _write_plan(plan, store)
             _say(console, f"{results}: {_counted(todo)}")
+            if plan.note:
+                _say(console, f"profile {plan.profile}: {plan.note}", "yellow")
             _explain(todo, console)
             interrupted = False
             with Progress(console, todo.trials, todo.stored) as progress:

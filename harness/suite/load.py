@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import yaml
 from pydantic import ValidationError
 
-from harness.core.paths import ROOT
+from harness.core.paths import SUITES
 from harness.core.protocol.errors import InputError, Mistakes, nearest
 from harness.core.refusal import refusals
 from harness.core.yamlfile import parse_yaml, read_yaml
@@ -18,7 +20,6 @@ from harness.suite.schema import MethodSpec, NamedSpec, Suite
 from harness.suite.sweep import expand
 from harness.suite.tuned import with_tuned
 
-SUITES = ROOT / "suites"
 LISTS = ("materials", "methods", "scenes", "measures")
 # Entries that name a file: our own 'file' and 'environment', and Mitsuba's 'filename'.
 FILE_KEYS = ("file", "filename", "environment")
@@ -72,6 +73,21 @@ def load(name: str | Path, tuned: bool = True) -> Loaded:
         raise InputError(f"{path}: cannot be read: {error.strerror}") from None
     except UnicodeDecodeError:
         raise InputError(f"{path}: not a text file; expected a suite in YAML") from None
+    return checked(data, path, text, tuned)
+
+
+def from_data(data: Any) -> Loaded:
+    """A suite from a dictionary, as YAML would give it. Files are meant from the working folder."""
+    name = data.get("name") if _is_map(data) else None
+    # Not a file; what is said of the suite begins with it.
+    return checked(copy.deepcopy(data), Path(f"suite '{name}'"), yaml.safe_dump(data))
+
+
+def checked(data: Any, path: Path, text: str, tuned: bool = True) -> Loaded:
+    """The suite that ``data`` describes; ``path`` is what messages call it, ``text`` is kept.
+
+    ``data`` may be written to. See :func:`load` for ``tuned``.
+    """
     if not isinstance(data, dict):
         raise InputError(f"{path}: expected a mapping with the keys name, materials, methods, ...")
     try:

@@ -13,7 +13,7 @@ from harness.core.protocol.errors import InputError, nearest
 from harness.core.protocol.method import Budget
 from harness.identity.named_files import replaced
 from harness.measures import registry as measures
-from harness.suite import seeds
+from harness.suite import fast, seeds
 from harness.suite.load import Loaded
 from harness.suite.resolve import Resolved
 from harness.suite.schema import MethodSpec, NamedSpec, Profile, Suite
@@ -40,6 +40,8 @@ class Plan:
     text: str
     where: str
     """The suite as the user named it."""
+    note: str = ""
+    """What is to be said of all its numbers."""
     resolved: Resolved = field(default_factory=Resolved, compare=False, repr=False)
 
     def baseline_of(self, trial: Trial) -> Trial:
@@ -55,16 +57,30 @@ class Plan:
         return list(dict.fromkeys(x for t in self.trials if (x := getattr(t, key)) != ""))
 
 
-def make_plan(loaded: Loaded, profile: str | None = None, device: str = "cpu") -> Plan:
-    """The plan of ``loaded`` in ``profile`` (by default ``quick``, if the suite has it)."""
+def make_plan(
+    loaded: Loaded,
+    profile: str | None = None,
+    device: str = "cpu",
+    fitted: Callable[[Trial], Any] = lambda trial: None,
+) -> Plan:
+    """The plan of ``loaded`` in ``profile`` (by default ``quick``, if the suite has it).
+
+    ``fitted`` says whether a fit need not be run, for the profile ``fast``, which makes others
+    small.
+    """
     suite = loaded.suite
     try:
         name, chosen = _profile(suite, profile)
+        if profile == fast.NAME and name not in suite.profiles:
+            usual = make_plan(loaded, None, device).trials
+            there = {t.method for t in usual if t.material == usual[0].material and fitted(t)}
+            chosen = fast.profile_of(suite, suite.profiles.get(DEFAULT_PROFILE, Profile()), there)
+        said = fast.note(chosen) if name == fast.NAME and name not in suite.profiles else ""
         baseline = _baseline(suite, chosen)
         expansion = _Expansion(suite, name, chosen, device, baseline, loaded.path.parent)
         return Plan(
             suite=suite.name,
-            title=suite.title or suite.name,
+            title=f"{suite.title or suite.name}{f' ({said})' if said else ''}",
             profile=name,
             device=device,
             baseline=baseline,
@@ -72,6 +88,7 @@ def make_plan(loaded: Loaded, profile: str | None = None, device: str = "cpu") -
             trials=expansion.trials(),
             text=loaded.text,
             where=str(loaded.path),
+            note=said,
             resolved=expansion.resolved,
         )
     except InputError as error:
@@ -86,8 +103,10 @@ def _profile(suite: Suite, name: str | None) -> tuple[str, Profile]:
     if name is None:
         name = DEFAULT_PROFILE if DEFAULT_PROFILE in suite.profiles else ""
         return name, suite.profiles.get(name, Profile())
+    if name == fast.NAME and name not in suite.profiles:
+        return name, Profile()  # made by :mod:`harness.suite.fast`
     if name not in suite.profiles:
-        hint = nearest(name, suite.profiles) or "; the suite has none"
+        hint = nearest(name, [*suite.profiles, fast.NAME])
         raise InputError(f"profiles: unknown profile '{name}'{hint}")
     return name, suite.profiles[name]
 

@@ -12,7 +12,7 @@ from harness.mitsuba_runtime.mitsuba_xml import file_hash
 
 
 class Nbrdf(Kind):
-    """``{name, type: nbrdf, file: NAME_fc1.npy}``; the other five files lie beside it."""
+    """``{name, type: nbrdf, file: NAME_fc1.npy}``, the other five beside it; or ``NAME.h5``."""
 
     type = "nbrdf"
 

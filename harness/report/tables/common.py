@@ -22,6 +22,11 @@ CEILING_LEGEND = (
 )
 
 
+def asked_for(results: Results, table: str) -> bool:
+    """Whether the suite names the table: a paper's own figures are shown in no other."""
+    return table in (results.wanted("tables") or ())
+
+
 def cell(
     number: Estimate | str,
     method: MethodColumn,

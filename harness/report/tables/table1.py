@@ -1,4 +1,4 @@
-"""Where the time goes: the paper's Table 1, per method, and its own figures beside ours."""
+"""Where the time goes: NeuSample's Table 1, and its own figures if the suite names the table."""
 
 from __future__ import annotations
 
@@ -9,10 +9,12 @@ from harness.analysis.quantities import scaled
 from harness.analysis.results import MethodColumn, Results
 from harness.report.published.neusample import Published, neusample
 from harness.report.table import Cell, Row, Section, Table
-from harness.report.tables.common import cell, circumstances
+from harness.report.tables.common import asked_for, cell, circumstances
 
 ORDER = 10
 MEASURE = "cost"
+_ROWS = ("rendering", "sampling")
+"""Of the paper's table."""
 _PARTS = ("sampling", "material", "rest")
 _TIMES = (
     ("rendering ms/spp", "seconds-per-spp", 1e3),
@@ -44,14 +46,11 @@ _LEGEND = (
 
 
 def table1(results: Results) -> Table | str:
-    """Rows methods; a section for each scene: times and shares, ours and then the paper's."""
+    """Rows methods; a section for each scene: times and shares, fit, memory and counts."""
     if not results.has(MEASURE):
         return f"no trial of the measure {MEASURE} is stored"
-    paper = neusample()
-    published = [
-        f"{paper.short}: rendering {paper.table1['unit']}",
-        f"{paper.short}: sampling {paper.table1['unit']}",
-    ]
+    paper = neusample() if asked_for(results, "table1") else None
+    published = [f"{paper.short}: {row} {paper.table1['unit']}" for row in _ROWS] if paper else []
     columns = [
         *(name for name, _, _ in _TIMES),
         *published,
@@ -86,13 +85,21 @@ def table1(results: Results) -> Table | str:
         sections=sections,
         legend=[
             *_LEGEND,
-            f"{paper.short}: published figures, {paper.table1['about']}; another machine, "
-            f"renderer and material, so compare shares and not seconds. {paper.citation}.",
+            *(_about(paper) if paper else ()),
         ],
     )
 
 
-def _cells(results: Results, method: MethodColumn, scene: str, paper: Published) -> list[Cell]:
+def _about(paper: Published) -> list[str]:
+    return [
+        f"{paper.short}: published figures, {paper.table1['about']}; another machine, "
+        f"renderer and material, so compare shares and not seconds. {paper.citation}."
+    ]
+
+
+def _cells(
+    results: Results, method: MethodColumn, scene: str, paper: Published | None
+) -> list[Cell]:
     marks = {m: disturbed(results, [MEASURE], m, method.label, scene) for m in results.materials}
     mark = "; ".join(f"{material}: {said}" for material, said in marks.items() if said)
     cells = []
@@ -103,7 +110,7 @@ def _cells(results: Results, method: MethodColumn, scene: str, paper: Published)
             cells.append(cell(scaled(number, factor), method, warning=warning))
         else:
             cells.append(cell(number, method))
-    for row in ("rendering", "sampling"):
+    for row in _ROWS if paper else ():
         value = paper.table1[row].get(method.name)
         cells.append(
             Cell(missing=f"not in {paper.table1['number']} of {paper.short}")

@@ -7,6 +7,7 @@ from dataclasses import replace
 from harness.analysis.results import Results
 from harness.report.published.neusample import neusample
 from harness.report.table import Cell, Row, Section, Table
+from harness.report.tables.common import asked_for
 from harness.report.tables.speedup import speedups
 
 ORDER = 20
@@ -21,7 +22,9 @@ def table2(results: Results) -> Table | str:
     table = speedups(
         results, "table2", "Speed-up at equal time", "speedup-equal-time", caption, timed=True
     )
-    return table if isinstance(table, str) else _beside_the_paper(table, results)
+    if isinstance(table, str) or not asked_for(results, "table2"):
+        return table
+    return _beside_the_paper(table, results)
 
 
 def _beside_the_paper(table: Table, results: Results) -> Table:

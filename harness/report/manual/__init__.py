@@ -1,0 +1,1 @@
+"""Generates docs/suites.md from the schemas: what a suite may say, and what it gives."""
