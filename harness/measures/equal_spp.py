@@ -143,12 +143,14 @@ class EqualSpp(Measure):
             "batch_variance": single(done.errors),
             "spp": np.array(done.spp),
             "batch_spp": np.array(done.passes[0].spp),
-            "deviations": Deviations.of(done.variances).packed(),
             "block_variance": single(_by_block(done)),
             "reference_spp": np.array(truth.spp),
             "detect": np.array(detect),
         }
-        if defensive.applies(job.method, job.scene):
+        several = len(done.passes) > 1
+        if several:  # of one render alone nothing tells a deviation
+            arrays["deviations"] = Deviations.of(done.variances).packed()
+        if several and defensive.applies(job.method, job.scene):
             arrays |= _defensive(job, done, settings, notify)
         documents = {"reference": {"sampler": truth.sampler}}
         return Outcome(arrays=arrays, documents=documents, images={"mean": done.rgb})

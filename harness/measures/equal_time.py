@@ -80,13 +80,14 @@ def _outcome(
         "baseline_seconds": single(timings.rival_seconds(index)),
         "batch_variance": single(entrant.errors),
         "baseline_variance": single(entrants[base].errors),
-        "deviations": Deviations.of(entrant.variances).packed(),
         "round_spp": np.array(entrant.spp),
         "chunk_spp": np.array([spp for spp, _ in render.chunks], np.int32),
         "chunk_seconds": single([seconds for _, seconds in render.chunks]),
         "loadavg": timings.loadavg,
         "mask": entrant.prepared.mask,
     }
+    if len(entrant.variances) > 1:  # of one round alone nothing tells a deviation
+        arrays["deviations"] = Deviations.of(entrant.variances).packed()
     return Outcome(arrays=arrays, images={"equal_time": render.image})
 
 
