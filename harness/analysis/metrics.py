@@ -21,6 +21,11 @@ class Metric:
 
 
 _TEXT = """
+constant-light variance radiance^2 | of one sample, in constant light, by quadrature
+constant-light relative-variance 1 | the same over the mean squared luminance
+constant-light footprint-variance radiance^2 | the part that comes from within a pixel's footprint
+constant-light footprint-share 1 | that part over the whole
+constant-light tail-resolved 1 | 0 where the integrand's tail leaves the number a lower bound
 convergence mse-last radiance^2 | mean squared error of the render with most samples
 convergence slope 1 | of log squared error over log samples; -1 for independent samples
 cost batch 1 | rows in the batch that samples and pdf queries were timed on
@@ -60,6 +65,11 @@ equal-spp variance radiance^2 | of one sample, mean over pixels that show nothin
 equal-spp relative-variance 1 | the same over the mean squared luminance
 equal-spp spp 1 | samples in each pixel, of all batches
 equal-spp bias 1 | relative difference of the image's mean to the reference's
+equal-spp bias-error 1 | standard error of that difference
+equal-spp bias-detectable 1 | least relative error of energy that the test finds with 95 % power
+equal-spp bias-power-reached 1 | 1 where that is what the setting detect asks for
+equal-spp tail-resolved 1 | 0 where the tail of the samples leaves the variance a lower bound
+equal-spp tail-index 1 | shape k of the generalised Pareto tail of the samples; no mean from 1 on
 equal-spp bias-z 1 | the same in standard errors
 equal-spp bias-p 1 | p-value of the image being the reference's
 equal-spp first-bias-p 1 | that of the first render, which decides whether there is a longer one
@@ -82,6 +92,8 @@ fit bake-seconds s | of turning what was fitted into tables
 fit load-seconds s | from the state in memory to the first sample of a new method
 fit parameters 1 | numbers that were fitted
 fit size-bytes B | of the state
+fit steps 1 | optimiser steps, of a fit that was told a time or a share that moves
+fit kl-moved 1 | share that KL still moved by in the last doubling of the steps
 fit final-loss 1 | of the method's own loss, which is no other's
 image-checks *-z 1 | difference of two images in standard errors
 image-checks *-p 1 | p-value of their having one mean
@@ -107,6 +119,8 @@ levels texture-numbers 1 | numbers of the textures
 levels texture-channels 1 | channels of the textures
 pdf kl nats | Kullback-Leibler divergence of the target from the density
 pdf chi2 1 | chi-square divergence: relative variance in constant light
+pdf kl-resolved 1 | 0 where the tail over conditions leaves kl a lower bound
+pdf chi2-resolved 1 | the same of chi2
 pdf chi2-median 1 | its median over conditions
 pdf mse 1 | squared difference of the densities over the disk
 pdf lost-share 1 | share of the target where the density is zero

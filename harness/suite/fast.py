@@ -12,7 +12,12 @@ from harness.suite.schema import BudgetSpec, MethodSpec, Override, Profile, Suit
 NAME = "fast"
 BUDGET = {"steps": 100, "conditions": 64, "directions": 32, "resolution": 32, "pool": 256}
 """The most that a fit may spend."""
+SECONDS, UNTIL = 2.0, 0.9
+"""The same of a fit that is told a time, and of one that goes on until KL moves by less."""
 MOST: dict[str, Any] = {
+    "longest": 1,
+    "points": 32,
+    "pixels": 256,
     "batches": 6,
     "spp": 8,
     "reference_spp": 512,
@@ -85,6 +90,10 @@ def _override(suite: Suite, base: Profile, method: MethodSpec) -> Override:
     own = base.override.get(method.label, Override())
     given = suite.budget.given() | base.budget.given() | method.budget.given() | own.budget.given()
     least = {key: min(given.get(key, getattr(Budget(), key)), most) for key, most in BUDGET.items()}
+    if "seconds" in given:  # in place of steps
+        least["seconds"] = min(given["seconds"], SECONDS)
+    if "until" in given:
+        least["until"] = max(given["until"], UNTIL)
     return Override(params=own.params, budget=BudgetSpec(**(own.budget.given() | least)))
 
 
