@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import cache
 from typing import Any
 
 from harness.analysis.renew import OUTDATED, outdated
@@ -37,6 +38,7 @@ def stale(results: ResultsFolder, trials: Mapping[str, Stored]) -> dict[str, str
     units: dict[str, Mapping[str, str]] = {}
     now = {key: _current(known, trial, units) for key, trial in trials.items()}
 
+    @cache
     def details(part: str, old: str, new: str) -> list[str]:
         before, after = code.units(results, old), units.get(new)
         return changed_units(before, short(after)) if before and after else []

@@ -272,6 +272,6 @@ class ResultsFolder:
         return found | {key: parsed(arrays) for key, arrays in probes}
 
 
-def _arrays_of(folder: Path, key: str) -> dict[str, np.ndarray]:
+def _arrays_of(folder: Path, key: str, kept: Mapping[str, str]) -> dict[str, np.ndarray]:
     with ResultsFolder(folder) as results:
-        return results.arrays(key)
+        return results.arrays_named(key, kept)

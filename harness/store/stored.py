@@ -64,13 +64,15 @@ class Stored:
     """Digests of the raw arrays, by name."""
     files: dict[str, str] = field(default_factory=dict)
     """Digests of the files beside the database, by name."""
-    reader: Callable[[str], dict[str, np.ndarray]] | None = field(default=None, repr=False)
-    """Reads the raw arrays of a key; None where there are none."""
+    reader: Callable[[str, dict[str, str]], dict[str, np.ndarray]] | None = field(
+        default=None, repr=False
+    )
+    """Reads raw arrays, given the key and their digests by name; None where there are none."""
 
     @cached_property
     def arrays(self) -> dict[str, np.ndarray]:
         """Raw outputs by name."""
-        return self.reader(self.hash) if self.reader is not None else {}
+        return self.reader(self.hash, self.kept_arrays) if self.reader is not None else {}
 
     @cached_property
     def images(self) -> dict[str, np.ndarray]:

@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.collections import PolyCollection
 from matplotlib.lines import Line2D
 from matplotlib.ticker import LogFormatterMathtext
 
@@ -13,7 +14,7 @@ from harness.analysis.breakeven import TIMES, CostLine, Costs, costs, timed_scen
 from harness.analysis.results import Results
 from harness.report.figures.canvas import Canvas, Drawn, log_ticks, styled
 from harness.report.figures.palette import Look, looks
-from harness.report.figures.small_multiples import Labels, panels
+from harness.report.figures.small_multiples import Labels, outline, panels
 
 ORDER = 40
 _BEYOND = 3
@@ -91,7 +92,9 @@ def _panel(panel: Axes, found: Costs, look: dict[str, Look]) -> None:
             samples, curves[label],
             color=style.colour, ls=style.dash, lw=1.1, zorder=zorder,
         )  # fmt: skip
-        panel.fill_between(samples, *_band(line, samples), color=style.colour, alpha=0.15, lw=0)
+    bands = [outline(samples, *_band(line, samples)) for line in found.lines.values()]
+    shades = [look[label].colour for label in found.lines]
+    panel.add_collection(PolyCollection(bands, facecolors=shades, alpha=0.15, lw=0), autolim=False)
     for label, at in crossings.items():
         if 0 < at < math.inf:
             panel.plot(

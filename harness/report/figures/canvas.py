@@ -14,7 +14,7 @@ from typing import Any
 import matplotlib as mpl
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter, NullLocator
+from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 from PIL.Image import Image
 from pypdfium2 import PdfDocument
 
@@ -63,8 +63,6 @@ _STEPS = (
     (math.inf, (1.0,)),
 )
 """(decades spanned by an axis, multiples of a power of ten that are labelled below that)."""
-_MINOR = 3
-"""Decades up to which an axis has ticks between its labels."""
 
 
 @dataclass(frozen=True)
@@ -128,10 +126,8 @@ def log_ticks(panel: Axes) -> None:
         steps = next(steps for widest, steps in _STEPS if decades < widest)
         axis.set_major_locator(LogLocator(subs=steps, numticks=5))
         axis.set_major_formatter(FuncFormatter(_tick_label))
-        axis.set_minor_formatter(NullFormatter())
-        if decades > _MINOR:
-            # Too close to be read; and they take longer to draw than all lines of a panel.
-            axis.set_minor_locator(NullLocator())
+        # Between its labels a small panel has none: they would take longer than all its lines.
+        axis.set_minor_locator(NullLocator())
 
 
 def _tick_label(value: float, _: int) -> str:
