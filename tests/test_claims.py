@@ -91,6 +91,10 @@ def test_a_stale_number_says_so(reference: Path, monkeypatch: pytest.MonkeyPatch
     written = claims.renewed(text(), reference)
     assert written.count("(stale)") == 3
     assert all("cosine" in line for line in written.splitlines() if "(stale)" in line)
+    monkeypatch.setattr(made, "_stale", frame.assign(status="stale"))
+    written = claims.renewed(text(), reference)
+    assert "All of these are stale" in written and "results/reference/made" in written
+    assert not any("(stale)" in line for line in written.splitlines() if line.startswith("| `"))
 
 
 @pytest.mark.parametrize(

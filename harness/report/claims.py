@@ -17,6 +17,7 @@ methods) and a column for each pair of table and section (and row, where it is a
 
 ``write`` puts in what is stored, ``check`` says what differs. A number of which a trial was
 measured with code that has changed since is followed by "(stale)": a text cannot keep quiet.
+Below a block of which all are stale one sentence says so.
 """
 
 from __future__ import annotations
@@ -36,6 +37,11 @@ from harness.store.frame import STALE
 
 REFERENCE = ROOT / "results" / "reference"
 FILES = ("README.md", "docs/*.md")
+_STALE = " (stale)"
+_ALL_STALE = (
+    "All of these are stale: measured with code that has changed since, as\n"
+    "`harness status results/reference/{folder}` says in detail."
+)
 _INLINE = re.compile(r"(<!-- claim ([^>]*?) -->)(.*?)(<!-- /claim -->)", re.DOTALL)
 _BLOCK = re.compile(r"(<!-- claims ([^>]*?) -->\n)(.*?)(<!-- /claims -->)", re.DOTALL)
 
@@ -102,7 +108,7 @@ class Source:
             number += " ‡"
         if interval and within:
             number += " " + (within.replace("[", r"\[").replace("]", r"\]") if escaped else within)
-        return number + (" (stale)" if old else "")
+        return number + (_STALE if old else "")
 
 
 @lru_cache(maxsize=8)
@@ -164,14 +170,20 @@ def _block(claim: str, reference: Path) -> str:
         raise InputError(f"claims {claim!r}: expected row | title = table, section | ...")
     methods = list(dict.fromkeys(m for table, *_ in places for m in found.table(table).columns))
     lines = [f"| method | {' | '.join(titles)} |", f"| :--- |{' ---: |' * len(titles)}"]
-    for method in methods:
-        cells = [
+    rows = {
+        method: [
             found.said([table, section, at, method], True, escaped=True)
             if method in found.table(table).columns
             else ""
             for table, section, at in places
         ]
-        lines.append(f"| `{method}` | {' | '.join(cells)} |")
+        for method in methods
+    }
+    if old := all(cell.endswith(_STALE) for cells in rows.values() for cell in cells if cell):
+        rows = {method: [c.removesuffix(_STALE) for c in cells] for method, cells in rows.items()}
+    lines += [f"| `{method}` | {' | '.join(cells)} |" for method, cells in rows.items()]
+    if old:
+        lines += ["", _ALL_STALE.format(folder=folder)]
     return "\n".join(lines) + "\n"
 
 
