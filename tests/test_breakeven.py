@@ -30,6 +30,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return Made(
         methods=LABELS,
         measures=("fit", "equal-spp", "equal-time"),
+        report={"tables": ["table2", "breakeven"], "figures": ["breakeven"]},
         fail={("equal-time", "two-lobe", "elephant-hide"): ("error", "no luck")},
     ).write(tmp_path_factory.mktemp("breakeven"))
 

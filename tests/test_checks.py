@@ -67,6 +67,7 @@ def of_forgets_jacobian() -> list[Finding]:
     return run_checks(planted.ForgetsJacobian(), planted.Plaster(), 5)
 
 
+@pytest.mark.slow
 def test_one_property_alone_draws_what_it_draws_among_all() -> None:
     every = of_forgets_jacobian()
     for name in ("samples-pdf", "coverage"):
@@ -186,7 +187,10 @@ class Steps(planted.Correct):
         return torch.where(on, density, 0).float()
 
 
-@pytest.mark.parametrize("method", [Rim, Narrow, Steps])
+SLOW_HARD = [pytest.param(method, marks=pytest.mark.slow) for method in (Rim, Steps)]
+
+
+@pytest.mark.parametrize("method", [Narrow, *SLOW_HARD])
 def test_hard_but_correct_distributions_pass(method: type[Method]) -> None:
     names = ("sample-pdf", "integral", "samples-pdf", "tail", "weights")
     findings = run_checks(method(), planted.Plaster(), 11, only=names)

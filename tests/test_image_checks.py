@@ -263,7 +263,7 @@ def table(rows: list[dict[str, Any]]) -> Table | str:
     full = [{**columns, "trial": f"{row['material']}-{row['method']}", **row} for row in rows]
     plan = {
         "trials": [
-            {"method": m, "identity": {"method": {"name": m}}}
+            {"method": m, "identity": {"method": {"name": m}}, "trial": f"suede-{m}", "seed": 0}
             for m in dict.fromkeys(row["method"] for row in rows)
         ]
     }

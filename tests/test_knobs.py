@@ -81,7 +81,11 @@ ENDS = [
     if not knob.name.startswith("budget.") and knob.values[end] not in ("float32", 2048)
 ]
 SLOW_KNOBS = [
-    e for e in ENDS if e[1] not in STRUCTURE or (e[0] == "histogram-mixture" and e[2] in (20, 300))
+    e
+    for e in ENDS
+    if e[1] not in STRUCTURE
+    or e[0] == "importance-baked"
+    or (e[0] == "histogram-mixture" and e[2] in (20, 300))
 ]
 
 

@@ -29,13 +29,16 @@ PARAMETERS = {
 }
 BUDGET = Budget(steps=40, conditions=64, directions=32, resolution=32, pool=256)
 CASES = [("tilted", False), ("tilted", True), ("plain", True), ("mitsuba", True)]
+SLOW_CASES = [("tilted", False), ("plain", True)]
 SMALL = [("tilted", True), ("mitsuba", True)]
 TOP = 1 - 2**-24
 """The largest uniform there is."""
 
 each = pytest.mark.parametrize("name", NAMES)
 cases = pytest.mark.parametrize(
-    ("kind", "fitted"), CASES, ids=[f"{k}-{'fitted' if f else 'untrained'}" for k, f in CASES]
+    ("kind", "fitted"),
+    [pytest.param(*case, marks=pytest.mark.slow if case in SLOW_CASES else ()) for case in CASES],
+    ids=[f"{k}-{'fitted' if f else 'untrained'}" for k, f in CASES],
 )
 small = pytest.mark.parametrize(("kind", "fitted"), SMALL, ids=[k for k, _ in SMALL])
 
@@ -122,8 +125,8 @@ def test_bounds_of_uniforms(name, kind, fitted):
 @each
 def test_largest_radius(name):
     """At the largest radius that uniforms give, rounding puts points on either side of the rim."""
-    method = ready(name, "plain", True) if name != "native" else ready(name, "mitsuba", True)
-    condition, u = rows("plain" if name != "native" else "mitsuba", 4096)
+    kind = "tilted" if name != "native" else "mitsuba"
+    method, (condition, u) = ready(name, kind, True), rows(kind, 4096)
     for column in range(2):
         edge = u.clone()
         edge[:, column] = TOP

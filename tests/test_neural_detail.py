@@ -51,6 +51,7 @@ def test_a_flat_surface_misses_noise_alone():
         assert found.share == 0 and found.missed.abs().median() < 3 * found.noise + 1e-6
 
 
+@pytest.mark.slow
 def test_the_table_of_detail():
     found = CliRunner().invoke(build("material"), ["material", "detail", "breccia-marble"])
     assert found.exit_code == 0, found.output

@@ -89,6 +89,7 @@ def test_the_gradient_is_that_of_the_squared_error_and_holds_no_variance():
     assert apart < 0.01 + 3 * noise and noise < 0.05
 
 
+@pytest.mark.slow
 def test_energies_come_nearer_the_truth():
     training, rows = trained()
     with torch.no_grad():  # all of a fifth too bright, as no reflectance is

@@ -28,9 +28,11 @@ def test_the_scaffold_is_a_correct_sampler(material, tmp_path):
     assert [f.line() for f in run_checks(method, material()) if not f.ok] == []
 
 
+@pytest.mark.slow
 def test_its_test_passes_and_both_files_are_clean(tmp_path):
     made = scaffold("my-sampler", tmp_path)
-    run = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", str(made.test_file)]
+    run = [sys.executable, "-m", "pytest", "-q", "-n", "0", "-p", "no:cacheprovider"]
+    run.append(str(made.test_file))
     done = subprocess.run(run, cwd=ROOT, capture_output=True, text=True, timeout=300, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
     assert "2 passed" in done.stdout
