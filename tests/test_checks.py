@@ -53,7 +53,13 @@ def at_level(name: str) -> float:
 # --- the properties, on adapters that are right, and wrong ---------------------------------------
 
 
-@pytest.mark.parametrize("right", [planted.Correct, planted.Bare], ids=lambda right: right.name)
+@pytest.mark.parametrize(
+    "right",
+    [
+        pytest.param(planted.Correct, id="correct"),
+        pytest.param(planted.Bare, id="bare", marks=pytest.mark.slow),
+    ],
+)
 def test_a_correct_adapter_passes(right: type[Method]) -> None:
     findings = run_checks(right(), planted.Plaster(), 5)
     assert not [finding.line() for finding in findings if not finding.ok]
@@ -129,6 +135,7 @@ def test_p_values_of_a_correct_adapter_are_uniform() -> None:
     assert stats.kstest(values, "uniform").pvalue > 1e-3
 
 
+@pytest.mark.slow
 def test_faults_of_the_distribution_spoil_no_call() -> None:
     findings = of_forgets_jacobian()
     assert {"samples-pdf"} <= failed(findings) <= {"samples-pdf", "tail", "weights"}

@@ -200,6 +200,7 @@ def test_bounces_that_never_happen_cost_and_change_nothing():
         assert values["indirect.rays"] == pytest.approx(0, abs=0.1)
 
 
+@pytest.mark.slow
 def test_effects_of_a_material_are_told_apart():
     verdicts, values, _ = measured(hall("environment", grey=True), Offset())
     # Averaged stripes do not move.

@@ -127,7 +127,7 @@ SAMPLERS = [name for name in registry.names() if registry.load(name).exact_pdf]
 published importance baking is biased and says so."""
 
 
-DEAR = ("importance-baked", "flow-matching")
+DEAR = ("importance-baked", "flow-matching", "histogram-mixture", "neural-spline-flow", "realnvp")
 """Samplers whose kernels or fits take long."""
 
 

@@ -280,7 +280,12 @@ def test_two_lobes_are_laid_out_as_ever():
 
 
 @pytest.mark.parametrize(
-    "name", [n for n in registry.names() if n not in UNFITTED and registry.load(n).exact_pdf]
+    "name",
+    [
+        pytest.param(n, marks=pytest.mark.slow if n == "importance-baked" else ())
+        for n in registry.names()
+        if n not in UNFITTED and registry.load(n).exact_pdf
+    ],
 )
 def test_bfloat16_halves_the_weights(name):
     """Rounded after fitting, stored in two bytes, restored bit for bit."""

@@ -121,6 +121,7 @@ def test_bias():
     assert 0 < variance.ci_low < variance.value < variance.ci_high
 
 
+@pytest.mark.slow
 def test_a_heavy_tail_is_rendered_anew():
     """Its first image lacks what rare samples carry, and their variance: not a wrong density."""
     from harness.measures import equal_spp as module

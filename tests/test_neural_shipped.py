@@ -20,7 +20,9 @@ def test_every_description_is_trained():
     assert set(NAMES) == set(descriptions.names())
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize(
+    "name", [*NAMES[:4], *(pytest.param(name, marks=pytest.mark.slow) for name in NAMES[4:])]
+)
 def test_a_shipped_material(name):
     file = shipped()[name]
     assert file.stat().st_size < 600_000

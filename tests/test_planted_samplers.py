@@ -49,7 +49,7 @@ class Lossy(Correct):
 
 def stored(outcome: Outcome) -> Stored:
     """As a store gives it back."""
-    return Stored("key", {}, {}, "ok", "", reader=lambda key: outcome.arrays)
+    return Stored("key", {}, {}, "ok", "", reader=lambda *_: outcome.arrays)
 
 
 def equal_spp(method: Method, material: Material, scene: str, **given: object) -> Outcome:
