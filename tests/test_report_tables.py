@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from harness.analysis.bias import corrected_p
+from harness.analysis.bias import bias_warnings, corrected_p
 from harness.analysis.combine import Estimate
 from harness.analysis.results import Results
 from harness.report import write as reports
@@ -101,6 +101,25 @@ def test_bias_is_corrected_over_the_whole_table(failing: Path):
     assert cell.parts[0] == "<0.001" and "z = 12.3" in cell.warning
     assert f"1 of {len(corrected)}" in table.caption
     assert "1 differed at first, and has the p-value of new renders" in table.caption
+
+
+def test_a_tail_that_is_not_resolved_leaves_bias_undecided(failing: Path):
+    """Renders without the rare heavy samples differ from the reference, and are no proof."""
+    results = Results.load(failing)
+    before = corrected_p(results)
+    frame = results.frame
+    cell = (frame["method"] == "fan-baseline") & (frame["material"] == "elephant-hide")
+    row = frame[cell & (frame["metric"] == "bias-p")].assign(metric="tail-resolved")
+    for value, there in ((1.0, True), (0.0, False)):
+        tail = row.assign(value=value, reason="the tail of its terms has index 1.39")
+        told = replace(results, frame=pd.concat([frame, tail], ignore_index=True))
+        found = corrected_p(told)
+        key = ("elephant-hide", "fan-baseline", "studio-sphere")
+        assert (key in found) == there and len(found) == len(before) - (not there)
+        shown = cell_of(part("tables", "bias")(told), "elephant-hide", "fan-baseline")
+        assert bool(shown.warning) == there
+        assert there or shown.missing == "not decided: the tail of its terms has index 1.39"
+        assert bool(bias_warnings(told)(*key)) == there
 
 
 def test_pdf_sections_and_shares_without_contest(failing: Path):

@@ -17,15 +17,41 @@ Key = tuple[str, str, str]
 
 
 def corrected_p(results: Results) -> dict[Key, float]:
-    """Holm-corrected p-values of all tests stored; the smallest over seeds for each cell."""
+    """Holm-corrected p-values of all tests stored; the smallest over seeds for each cell.
+
+    Without those of :func:`undecided`.
+    """
     rows = results.frame
     rows = rows[(rows["measure"] == MEASURE) & (rows["metric"] == "bias-p")]
     rows = rows[(rows["status"] == "ok") & rows["value"].notna()]
+    rows = rows[~rows["trial"].isin(results.once(_unresolved))]
     keys = list(zip(rows["material"], rows["method"], rows["scene"], strict=True))
     corrected: dict[Key, float] = {}
     for key, p in zip(keys, holm(rows["value"]), strict=True):
         corrected[key] = min(float(p), corrected.get(key, 1.0))
     return corrected
+
+
+def undecided(results: Results, material: str, method: str, scene: str) -> str:
+    """Why no test decides about a cell; "" if one does.
+
+    The test takes a render's mean for normal. Where the tail of its terms is not resolved, rare
+    heavy samples hold a part of the mean: renders without them differ from the reference, however
+    right the method is.
+    """
+    keys = {row["trial"] for row in results.rows(MEASURE, material, method, scene)}
+    unresolved = results.once(_unresolved)
+    if not keys or not keys <= unresolved.keys():
+        return ""
+    return f"not decided: {unresolved[min(keys)]}"
+
+
+def _unresolved(results: Results) -> dict[str, str]:
+    """Trials of the measure with a tail that is not resolved, and what is known of it."""
+    rows = results.frame
+    rows = rows[(rows["measure"] == MEASURE) & (rows["metric"] == "tail-resolved")]
+    rows = rows[rows["value"] == 0]
+    return dict(zip(rows["trial"], rows["reason"], strict=True))
 
 
 @dataclass(frozen=True)
@@ -46,6 +72,7 @@ def deciding_test(results: Results, material: str, method: str, scene: str) -> D
     rows = results.frame
     rows = rows[(rows["measure"] == MEASURE) & (rows["material"] == material)]
     rows = rows[(rows["method"] == method) & (rows["scene"] == scene) & (rows["status"] == "ok")]
+    rows = rows[~rows["trial"].isin(results.once(_unresolved))]
     metrics = rows.pivot_table(index="seed", columns="metric", values="value")
     if not {"bias-p", "bias-z"} <= set(metrics.columns):
         return None

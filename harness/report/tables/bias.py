@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from harness.analysis import numbers
-from harness.analysis.bias import LEVEL, MEASURE, Key, corrected_p, deciding_test
+from harness.analysis.bias import LEVEL, MEASURE, Key, corrected_p, deciding_test, undecided
 from harness.analysis.power import AIM, detected, weak_tests
 from harness.analysis.results import MethodColumn, Results
 from harness.report.table import Cell, Row, Section, Table
@@ -16,7 +16,7 @@ def bias(results: Results) -> Table | str:
     """Holm-corrected p-values of each method's mean image against the reference."""
     corrected = corrected_p(results)
     if not corrected:
-        return f"no trial of the measure {MEASURE} has a bias test"
+        return f"no trial of the measure {MEASURE} has a bias test that decides"
     sections = []
     for scene in results.scenes(MEASURE):
         rows = [
@@ -101,6 +101,8 @@ def _cell(
     raw = results.number(MEASURE, "bias-p", material, method.label, scene)
     if isinstance(raw, str):
         return Cell(missing=raw, ceiling=method.ceiling)
+    if why := undecided(results, material, method.label, scene):
+        return Cell(missing=why, ceiling=method.ceiling)
     p = corrected[(material, method.label, scene)]
     warning = ""
     if p < LEVEL:
