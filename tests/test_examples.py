@@ -28,7 +28,7 @@ def test_there_are_some():
     assert len(SCRIPTS) >= 4 and NOTEBOOKS
 
 
-DEAR = ("in_a_mitsuba_script", "run_a_suite")
+DEAR = ("in_a_mitsuba_script", "run_a_suite", "sample_pdf_eval")
 
 
 @pytest.mark.parametrize(
