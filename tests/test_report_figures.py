@@ -94,6 +94,17 @@ def rows_of(count: int) -> list[int]:
     return [tops.count(top) for top in sorted(set(tops), reverse=True)]
 
 
+def test_a_legend_has_room_beside_a_single_panel():
+    """Its longest label is longer than a panel is wide."""
+    label = "histogram-mixture (loss=kl)"
+    handles = [Line2D([], [], label=label)] * 4
+    with styled():
+        figure, _ = panels([[Labels("x", "y", "a")]], (2.0, 1.5), handles, handle_length=3.2)
+        figure.draw_without_rendering()
+    box = figure.legends[0].get_window_extent()
+    assert box.x0 >= 0 and box.x1 <= figure.bbox.width
+
+
 def test_rows_of_panels_are_as_few_and_as_full_as_can_be():
     assert [rows_of(n) for n in (1, 4, 5, 12)] == [[1], [4], [3, 2], [4, 4, 4]]
     assert rows_of(13) == [4, 4, 4, 1]

@@ -46,7 +46,8 @@ def slices(results: Results, canvas: Canvas) -> list[Drawn] | str:
 
 
 def _page(results: Results, canvas: Canvas, rows: list[tuple[str, int]], name: str) -> Drawn:
-    methods = results.methods
+    # A column of the suite may not be for this measure.
+    methods = [m for m in results.methods if results.rows(MEASURE, method=m.label)]
     columns = len(methods) + 1
     left, top, under = 0.30, 0.42, 0.30
     height = top + len(rows) * (_PANEL + under)

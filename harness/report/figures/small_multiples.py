@@ -18,8 +18,8 @@ _X_LABEL, _Y_LABEL = 0.25, 0.42
 """Inches from the axes to their labels."""
 _LINE = 0.2
 """Inches that a line of the legend takes."""
-_SEVERAL_COLUMNS = 2
-"""Columns of panels up from which a legend is as wide as they are."""
+_NARROWEST = 4.6
+"""Inches of a figure: two columns of a legend with the longest labels."""
 
 
 @dataclass(frozen=True)
@@ -50,18 +50,16 @@ def panels(
     per_row = -(-len(columns_of) // -(-len(columns_of) // widest))
     rows = -(-len(columns_of) // per_row)
     stack = [_ABOVE * bool(labels.title) + height + _BELOW for labels in columns_of[0]]
-    legend_columns = min(len(handles), max(_SEVERAL_COLUMNS, round(1.5 * per_row)))
+    legend_columns = min(len(handles), max(2, round(1.5 * per_row)))
     legend = _LINE * -(-len(handles) // legend_columns) + 0.1
     step = _INNER + width + _RIGHT
-    total = (
-        max(_LEFT - _INNER + per_row * step, 1.5 * legend_columns),
-        rows * sum(stack) + legend,
-    )
+    inside = _LEFT - _INNER + per_row * step
+    total = max(inside, _NARROWEST), rows * sum(stack) + legend
     figure = Figure(figsize=total)
     found = []
     for i, labels_of in enumerate(columns_of):
         row, column = divmod(i, per_row)
-        left = _LEFT + column * step
+        left = (total[0] - inside) / 2 + _LEFT + column * step
         top = total[1] - row * sum(stack)
         made = []
         for labels, tall in zip(labels_of, stack, strict=True):
