@@ -185,7 +185,9 @@ class Results:
         return self._by_training(
             row
             for row in self.rows(measure, material, method, scene)
-            if row["metric"] == metric and row["status"] in SHOWN and not math.isnan(row["value"])
+            if row["metric"] == metric
+            and row["status"] in SHOWN
+            and not (math.isnan(row["value"]) or _one_sided(row))
         )
 
     def factor(self, found: Mapping[str, Factor]) -> Estimate | str:
