@@ -9,7 +9,7 @@ from pathlib import Path
 from harness.core.classes import named
 from harness.core.paths import METHODS, ROOT
 from harness.identity.cache import Cache, default_folder
-from harness.identity.digests import Digests
+from harness.identity.digests import Digests, Part
 from harness.identity.modules import CALLED
 from harness.identity.tree import Tree
 
@@ -30,6 +30,25 @@ def _shipped_method(name: str) -> list[str]:
 
 BY_NAME = {"harness.core.registry:make": _shipped_method}
 """Functions that find something by name, and the unit that a name stands for."""
+
+
+def digest_of(part: Part) -> str:
+    """Of all code of ours that ``part`` reaches."""
+    return digests().of({"": part})[""].digest
+
+
+def digest_of_class(file: Path, class_name: str) -> str:
+    """Of all code that a class in a lone file reaches: there, in files beside it, and of ours.
+
+    As the files are now, for they may change while a process runs.
+
+    Raises:
+        KeyError: there is no such class.
+    """
+    known = digests().tree
+    tree = Tree(known.roots, cut=TABLES, by_name=BY_NAME, cache=known.cache)
+    entry = f"{tree.add_folder(file.parent)}.{file.stem}:{class_name}"
+    return Digests(tree).of({"": Part((entry,))})[""].digest
 
 
 @lru_cache(maxsize=8)
