@@ -149,10 +149,10 @@ def test_code_of_a_lone_file_follows_its_neighbours(adapters: Path):
 
 def test_a_lone_class_is_read_again_after_an_edit(tmp_path: Path):
     file = tmp_path / "x.py"
-    file.write_text("from helper import A\n\nclass Plugin:\n    A = A\n")
+    file.write_text("from helper import A\n\nclass Plugin:\n    B = A\n")
     (tmp_path / "helper.py").write_text("A = 1\n")
     before = digest_of_class(file, "Plugin")
-    file.write_text("from helper import A\n\nclass Plugin:\n    A = A  # as there\n")
+    file.write_text("from helper import A\n\nclass Plugin:\n    B = A  # as there\n")
     assert digest_of_class(file, "Plugin") == before
     (tmp_path / "helper.py").write_text("A = 1000\n")
     assert digest_of_class(file, "Plugin") != before
