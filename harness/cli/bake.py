@@ -36,12 +36,19 @@ def register(app: typer.Typer) -> None:
         from rich.console import Console
         from rich.progress import Progress
 
-        from harness.importance_maps.database import BakeSettings, bake_to
+        from harness.core.outputs import folder_to_fill
+        from harness.importance_maps.database import MANIFEST, BakeSettings, bake_to
         from harness.materials import registry
 
         chosen = registry.make(material)
         settings = BakeSettings(kind, resolution, slice_resolution, seed)
         folder = out or Path("importance-maps") / material
+        folder_to_fill(
+            folder,
+            "--out",
+            lambda place: (place / MANIFEST).is_file(),
+            "a data base of importance maps",
+        )
         console, start = Console(), time.perf_counter()
         with Progress(console=console, transient=True) as progress:
             task = progress.add_task(f"{kind} maps of {material}", total=slices)

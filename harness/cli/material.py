@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 from typing import Annotated
 
@@ -38,9 +37,14 @@ def register(app: typer.Typer) -> None:
         from rich.console import Console
         from rich.progress import Progress
 
+        from harness.core.outputs import file_to_write
         from harness.training import recipe
 
         _ready(device)
+        if out.suffix == ".safetensors":  # else the recipe says what it has to be
+            file_to_write(out, "--out", _is_ours, "a material of harness material train")
+            under_way = out.with_suffix(".train")
+            file_to_write(under_way, "--out: beside it", _is_training, "a training under way")
         console = Console()
         with Progress(console=console) as progress:
             task = progress.add_task("", total=1.0)
@@ -162,23 +166,32 @@ def register(app: typer.Typer) -> None:
         Console().print(timing.table(_file(name), rows, rounds, device))
 
 
-def _png(out: Path | None, file: Path) -> Path | None:
+def _png(out: Path | None, file: Path) -> Path:
     """Where the picture goes; a folder gets NAME-preview.png. Asked before anything is traced."""
+    from harness.core.outputs import file_to_write
+    from harness.core.pictures import marked
     from harness.core.protocol.errors import InputError
 
-    if out is None:
-        return None
-    if out.is_dir():
-        out = out / f"{file.stem}-preview.png"
+    if out == Path():
+        raise InputError("--out: expected a name that ends in .png, or a folder")
+    if out is None or out.is_dir():
+        out = (out or Path()) / f"{file.stem}-preview.png"
     if out.suffix.lower() != ".png":
         raise InputError(f"--out {out}: expected a name that ends in .png, or a folder")
-    try:
-        out.parent.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"--out {out}: cannot be written: {error.strerror}") from None
-    if not os.access(out if out.exists() else out.parent, os.W_OK):
-        raise InputError(f"--out {out}: cannot be written: no permission")
-    return out
+    return file_to_write(out, "--out", marked, "a picture of this command")
+
+
+def _is_ours(path: Path) -> bool:
+    from harness.materials.neural import storage
+
+    return bool(storage.metadata(path))  # refuses what is not in our format
+
+
+def _is_training(path: Path) -> bool:
+    import zipfile
+
+    with zipfile.ZipFile(path) as archive:
+        return any(name.endswith("/data.pkl") for name in archive.namelist())
 
 
 def _ready(device: str) -> None:

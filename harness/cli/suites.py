@@ -40,7 +40,11 @@ def planned(loaded: Loaded, profile: str | None, device: str) -> Plan:
     from harness.suite.plan import make_plan
 
     preflight.ready(device)
-    return make_plan(loaded, profile, device, shipped.find)
+    plan = make_plan(loaded, profile, device, shipped.find)
+    for said in dict.fromkeys(map(shipped.damaged, plan.trials)):
+        if said:
+            typer.echo(said, err=True)
+    return plan
 
 
 def run_and_report(plan: Plan, results: Path, options: Options) -> int:
