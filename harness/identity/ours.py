@@ -14,6 +14,7 @@ from harness.identity.modules import CALLED
 from harness.identity.tree import Tree
 
 TABLES = (
+    "harness.core.registry:load",
     "harness.effects.registry:EFFECTS",
     "harness.materials.hard.registry:MATERIALS",
     "harness.materials.registry:KINDS",
