@@ -15,6 +15,7 @@ from harness.core.outputs import file_to_write
 from harness.core.pictures import MARK, marked
 from harness.core.protocol.errors import InputError
 from harness.microgeometry import descriptions, preview, queries
+from harness.microgeometry.walks.surfaces import reliefs
 
 app = typer.Typer(add_completion=False, help="Pictures and speed of microgeometry.")
 
@@ -34,7 +35,7 @@ def sheet(
 
     file_to_write(out, "OUT", marked, "a picture of this command")
     strips = []
-    for item in name or descriptions.names():
+    for item in name or reliefs():
         surface = descriptions.load(item, resolution)
         pictures = [
             preview.plane(surface, pixels, spp=spp, dome=0.4, device=device),
