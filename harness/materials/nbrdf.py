@@ -20,11 +20,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from harness.core.columns.bridge import Columns
-from harness.core.columns.material import ColumnMaterial
 from harness.core.protocol.errors import InputError
 from harness.materials import nbrdf_h5
 from harness.materials.file_formats import said_of
 from harness.materials.half_difference import direction, half_and_difference
+from harness.materials.measured_columns import MeasuredColumns
 
 SHAPES = {"fc1": (6, 21), "b1": (21,), "fc2": (21, 21), "b2": (21,), "fc3": (21, 3), "b3": (3,)}
 
@@ -74,22 +74,12 @@ def read(path: Path, where: str) -> dict[str, NDArray[np.float32]]:
     return arrays
 
 
-class NbrdfMaterial(ColumnMaterial):
+class NbrdfMaterial(MeasuredColumns):
     """One network; the condition is ``wi.xy``."""
 
-    renders_in_columns = True
-
     def __init__(self, name: str, arrays: dict[str, NDArray[np.float32]], identity: dict[str, Any]):
-        self.name, self._identity = name, identity
+        super().__init__(name, identity)
         self._layers = [(arrays[f"fc{i}"], arrays[f"b{i}"]) for i in (1, 2, 3)]
-
-    def identity(self) -> dict[str, Any]:
-        """See :meth:`Material.identity`."""
-        return self._identity
-
-    def condition_columns(self, si: Any) -> Columns:
-        """The condition at surface interactions, as a renderer meets it."""
-        return [si.wi.x, si.wi.y]
 
     def eval_columns(self, c: Columns, wo: Columns) -> Any:
         """See :meth:`ColumnMaterial.eval_columns`."""
