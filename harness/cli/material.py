@@ -19,8 +19,15 @@ def register(app: typer.Typer) -> None:
     def train(
         description: Annotated[str, typer.Argument(help="Microgeometry: a .yaml file or a name.")],
         out: Annotated[Path, typer.Option(help="File to write: NAME.safetensors.")],
+        kind: Annotated[
+            str, typer.Option(help="neural (from evaluations) or puresample (from walks).")
+        ] = "neural",
         profile: Annotated[
-            str, typer.Option(help="quick, relief, deep or full; quick- or full-pyramid.")
+            str,
+            typer.Option(
+                help="quick, relief, deep or full; quick- or full-pyramid. Of puresample: quick,"
+                " fine, full; quick- or full-texture."
+            ),
         ] = "quick",
         set_: Annotated[
             list[str] | None,
@@ -33,13 +40,14 @@ def register(app: typer.Typer) -> None:
         resume: Annotated[bool, typer.Option("--resume", help="Go on from OUT's .train.")] = False,
         device: Annotated[str, typer.Option(help="cpu or cuda.")] = "cpu",
     ) -> None:
-        """Trace queries of a surface, fit the network to them, and store it with its record."""
+        """Trace queries or walks of a surface, fit networks to them, store them with a record."""
         from rich.console import Console
         from rich.progress import Progress
 
         from harness.core.outputs import file_to_write
-        from harness.training import recipe
+        from harness.training import kinds
 
+        kinds.check(kind, description, resume)
         _ready(device)
         if out.suffix == ".safetensors":  # else the recipe says what it has to be
             file_to_write(out, "--out", _is_ours, "a material of harness material train")
@@ -53,10 +61,12 @@ def register(app: typer.Typer) -> None:
                 progress.update(task, description=text, completed=share)
 
             try:
-                recipe.train(description, out, profile, seed, device, resume, notify, set_ or ())
+                kinds.train(
+                    kind, description, out, profile, seed, device, resume, notify, set_ or ()
+                )
             except KeyboardInterrupt:
                 progress.stop()
-                console.print(f"interrupted; --resume goes on from {out.with_suffix('.train')}")
+                console.print(kinds.interrupted(kind, out))
                 raise typer.Exit(INTERRUPTED) from None
         _show(console, [out])
 
@@ -85,9 +95,10 @@ def register(app: typer.Typer) -> None:
         """Print how materials were trained and how well they answer."""
         from rich.console import Console
 
-        from harness.materials.neural.files import shipped
+        from harness.training import kinds
 
-        _show(Console(), [_file(name) for name in names] if names else list(shipped().values()))
+        known = list(kinds.shipped().values())
+        _show(Console(), [_file(name) for name in names] if names else known)
 
     @material.command()
     def measure(
@@ -98,11 +109,11 @@ def register(app: typer.Typer) -> None:
         """Measure a material's errors again and rewrite its record; its tensors stay."""
         from rich.console import Console
 
-        from harness.training import recipe
+        from harness.training import kinds
 
         _ready(device)
         file = _file(name)
-        recipe.measure(file, seed, device)
+        kinds.measure(file, seed, device)
         _show(Console(), [file])
 
     @material.command()
@@ -143,11 +154,11 @@ def register(app: typer.Typer) -> None:
         """Draw sphere, plane and slices of a material beside the path-traced truth."""
         from rich.console import Console
 
-        from harness.training import preview as pictures
+        from harness.training import kinds
 
         _ready(device)
         file = _file(name)
-        written = pictures.write(file, description, _png(out, file), size, spp, device)
+        written = kinds.preview(file, description, _png(out, file), size, spp, device)
         Console(highlight=False).print(f"{written}", soft_wrap=True)
 
     @material.command()
@@ -160,10 +171,13 @@ def register(app: typer.Typer) -> None:
         """Time both stages beside a bare torch network of the decoder's size, in one run."""
         from rich.console import Console
 
-        from harness.bench import neural as timing
+        from harness.bench import neural, puresample
+        from harness.materials.puresample.files import is_one
 
         _ready(device)
-        Console().print(timing.table(_file(name), rows, rounds, device))
+        file = _file(name)
+        timing = puresample if is_one(file) else neural
+        Console().print(timing.table(file, rows, rounds, device))
 
 
 def _png(out: Path | None, file: Path) -> Path:
@@ -183,8 +197,9 @@ def _png(out: Path | None, file: Path) -> Path:
 
 def _is_ours(path: Path) -> bool:
     from harness.materials.neural import storage
+    from harness.materials.puresample.files import is_one
 
-    return bool(storage.metadata(path))  # refuses what is not in our format
+    return is_one(path) or bool(storage.metadata(path))  # refuses what is not in our format
 
 
 def _is_training(path: Path) -> bool:
@@ -202,18 +217,13 @@ def _ready(device: str) -> None:
 
 def _file(name: str) -> Path:
     """A shipped material's file, or the file itself."""
-    from harness.core.protocol.errors import InputError, nearest
-    from harness.materials.neural.files import SUFFIXES, check, shipped
+    from harness.training import kinds
 
-    if name in shipped():
-        return shipped()[name]
-    if Path(name).suffix not in SUFFIXES:
-        raise InputError(f"unknown neural material '{name}'{nearest(name, shipped())}")
-    check(Path(name), f"material '{name}'")
-    return Path(name)
+    return kinds.file_of(name)
 
 
 def _show(console, files: list[Path]) -> None:
-    from harness.training.report import table
+    from harness.training import kinds
 
-    console.print(table(files))
+    for table in kinds.tables(files):
+        console.print(table)

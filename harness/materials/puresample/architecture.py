@@ -60,9 +60,7 @@ class Architecture:
                 raise InputError(f"{where}: unknown size '{key}'{nearest(key, known)}")
             number = known[key] is float and type(value) is int
             if type(value) is not known[key] and not number:
-                raise InputError(
-                    f"{where}: {key}: expected {known[key].__name__}, got {value!r}"
-                )
+                raise InputError(f"{where}: {key}: expected {known[key].__name__}, got {value!r}")
         found = cls(**data)
         for key, choices in (
             ("activation", ACTIVATIONS),

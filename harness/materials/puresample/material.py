@@ -113,9 +113,7 @@ class PureSampleMaterial(ColumnMaterial):
         channel = dr.select(u[2] < weight[0], 0, dr.select(u[2] < weight[0] + weight[1], 1, 2))
         first = [type(u[2])(0), weight[0], weight[0] + weight[1]]
         low = dr.select(channel == 0, first[0], dr.select(channel == 1, first[1], first[2]))
-        width = dr.select(
-            channel == 0, weight[0], dr.select(channel == 1, weight[1], weight[2])
-        )
+        width = dr.select(channel == 0, weight[0], dr.select(channel == 1, weight[1], weight[2]))
         # What is left of the third uniform picks a lobe of the base; rounding may reach one.
         rest = dr.minimum((u[2] - low) / width, 1 - 2**-24)
         index = dr.uint32_array_t(type(u[2]))

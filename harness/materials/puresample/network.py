@@ -111,7 +111,7 @@ class PureSample(nn.Module):
         return torch.sigmoid(self.albedo_logit(features, wi))
 
     def log_density(self, features: Tensor, channel: Tensor, wi: Tensor, wo: Tensor) -> Tensor:
-        """Log density [N] per disk area at ``wo`` [N, 2], of ``channel`` [N]; nan where not found."""
+        """Log density [N] per disk area at ``wo`` [N, 2] of ``channel`` [N]; nan if not found."""
         rows = self.condition(features, channel, wi)
         found, where = self.density.log_prob(self.flow, rows, wo[:, None])
         return torch.where(where, found, torch.nan)[:, 0]

@@ -2,12 +2,12 @@ r"""Fits the albedo to counts of the particles that come back.
 
 Of n particles k leave, k / n estimating the albedo a. Losses of the network's answer q:
 
-``survival``: the likelihood of the counts, :math:`-\frac kn \log q - (1 - \frac kn) \log(1 - q)`;
-``squared``: :math:`(q - \frac kn)^2`. Both are linear in k / n but for what does not depend on q, so
-the minimiser of their mean is the mean of k / n, which is a, whatever n: they are unbiased.
+``survival``: the counts' likelihood, :math:`-\frac kn \log q - (1 - \frac kn) \log(1 - q)`;
+``squared``: :math:`(q - \frac kn)^2`. Both are linear in k / n but for what does not depend on q,
+so the minimiser of their mean is the mean of k / n, which is a, whatever n: they are unbiased.
 
-``l1``: :math:`|q - \frac kn|`, the published loss. Its minimiser is the *median* of k / n. That of a
-binomial count lies within one of n a, so the answer is off by up to 1 / n, and is 0 where
+``l1``: :math:`|q - \frac kn|`, the published loss. Its minimiser is the *median* of k / n. That of
+a binomial count lies within one of n a, so the answer is off by up to 1 / n, and is 0 where
 :math:`(1 - a)^n > \frac12`. A dark material or a small n is where it shows.
 """
 
@@ -104,8 +104,8 @@ def fit(
         logit = network.albedo_logit(features, wi[index])
         return loss_of(profile.albedo_loss, logit, share[index])
 
-    parameters = list(network.albedo_net.parameters())
-    return descend(loss, [(parameters, profile.albedo_rate)], profile.albedo_steps, notify, "albedo")
+    groups = [(list(network.albedo_net.parameters()), profile.albedo_rate)]
+    return descend(loss, groups, profile.albedo_steps, notify, "albedo")
 
 
 def _last(network: PureSample) -> torch.nn.Linear:

@@ -14,17 +14,19 @@ from harness.training.puresample.profiles import Profile
 
 
 class Rows:
-    """Batches of particles as the losses of a flow ask for them: one direction a condition."""
+    """Batches of particles as the losses of a flow ask for them: one direction a condition.
+
+    They call ``batch(conditions, directions a condition, generator)``.
+    """
 
     def __init__(self, network: PureSample, data: Walked, device: str):
         self.network, self.device = network, device
         parts = (data.u, data.wi, data.channel, data.wo)
         self.u, self.wi, self.channel, self.wo = (x.to(device) for x in parts)
 
-    def batch(self, rows: int, directions: int, generator: torch.Generator) -> tuple[Tensor, Tensor]:
+    def batch(self, rows: int, _one: int, random: torch.Generator) -> tuple[Tensor, Tensor]:
         """Conditions [B, C] and directions [B, 1, 2] of ``rows`` particles."""
-        assert directions == 1
-        index = torch.randint(len(self.wo), (rows,), generator=generator).to(self.device)
+        index = torch.randint(len(self.wo), (rows,), generator=random).to(self.device)
         features = self.network.features(self.u[index])
         condition = self.network.condition(features, self.channel[index], self.wi[index])
         return condition, self.wo[index][:, None]

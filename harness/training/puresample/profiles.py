@@ -18,9 +18,9 @@ class Profile:
     very steps that run, in ``likelihood_steps`` of ``likelihood_batch``, which is ours and replaces
     Reflow (:mod:`harness.fitting.flow_matching`); the *albedo*, from ``directions`` of ``group``
     particles a channel each, in ``albedo_steps`` of ``albedo_batch`` directions by ``albedo_loss``
-    (:mod:`harness.training.puresample.albedo`). ``texture_rate`` and ``tv``, the weight of the total
-    variation per texel and channel (eq. 4), are the latent texture's, which the albedo's fit leaves
-    alone.
+    (:mod:`harness.training.puresample.albedo`). ``texture_rate`` and ``tv``, the weight of the
+    total variation per texel and channel (eq. 4), are the latent texture's, which the albedo's fit
+    leaves alone.
     """
 
     architecture: Architecture

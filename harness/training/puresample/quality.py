@@ -25,12 +25,12 @@ _HELD, _DIRECTIONS, _PLACES = (k << 40 for k in (11, 12, 13))
 
 @dataclass(frozen=True)
 class Quality:
-    """``kl``: mean over held-out conditions (direction, channel) of KL(walks || network) in nats, in
-    cells of 48^2, less the mean excess that counts of so many walks have by chance; ``kl_error`` its
-    standard error over conditions, ``kl_worst`` the largest. ``albedo_within``: share of directions
-    and channels whose albedo is within 3 % of the walks'; ``albedo_error``: 95th percentile of the
-    relative difference, ``albedo_noise`` that of the walks' standard error; ``albedo_bias``: of the
-    mean albedo, relative."""
+    """``kl``: mean over held-out conditions (direction, channel) of KL(walks || network) in nats,
+    in cells of 48^2, less the mean excess that counts of so many walks have by chance; ``kl_error``
+    its standard error over conditions, ``kl_worst`` the largest. ``albedo_within``: share of
+    directions and channels whose albedo is within 3 % of the walks'; ``albedo_error``: 95th
+    percentile of the relative difference, ``albedo_noise`` that of the walks' standard error;
+    ``albedo_bias``: of the mean albedo, relative."""
 
     kl: float
     kl_error: float
@@ -125,7 +125,7 @@ def divergences(network: PureSample, held: Conditions) -> Tensor:
     """KL(walks || network) [N] in nats in cells; unbiased to first order in 1 / walks.
 
     The mean excess of an estimate from counts, (cells - 1) / (2 n) with those cells that were met
-    (Miller 1955), is taken off. Cells blur what is narrower than they are, 0.04 of the disk's radius.
+    (Miller 1955), is taken off. Cells blur what is narrower than they are, 0.04 of the radius.
     """
     at = cell_points()
     found = []
