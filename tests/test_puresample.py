@@ -24,10 +24,14 @@ from harness.stats.chisquare import chi_square
 
 mi = variant.use("cpu")
 
+from harness._methods.cosine import Cosine  # noqa: E402
 from harness._methods.native import Native  # noqa: E402
 from harness._methods.puresample import PureSample as Sampler  # noqa: E402
 from harness.checks.run import run_checks  # noqa: E402
 from harness.materials.puresample.material import PureSampleMaterial  # noqa: E402
+from harness.rendering.prepared import prepare  # noqa: E402
+from harness.scenes import registry as scenes  # noqa: E402
+from harness.stats.ztest import agreement  # noqa: E402
 
 SMALL = Architecture(width=12, layers=2, steps=3, albedo_width=8)
 FORMS = {
@@ -209,6 +213,22 @@ def test_a_renderer_meets_the_same_conditions():
     rows = torch.cat([m.places(uv), wi], 1)
     for column, expected in zip(found, rows.T, strict=True):
         torch.testing.assert_close(torch.tensor(column.numpy()), expected, rtol=1e-4, atol=1e-5)
+
+
+def test_renders_by_all_samplers_agree():
+    """The same picture by the brightest channel's flow, by all channels', and by a cosine lobe."""
+    m, spp = material("textured"), 32
+    scene = scenes.make("studio-sphere")
+    methods = [Sampler("highest"), Sampler("mixture"), Cosine()]
+    for method in methods:
+        method.bind(m)
+    made = [prepare(scene, m, method, 16, "mis") for method in methods]
+    renders = [p.render(spp, seed) for seed, p in enumerate(made)]
+    noise = [r.variance / spp for r in renders]
+    found = agreement([r.mean for r in renders], noise, made[0].mask)
+    assert min(a.p_value for a in found) > 1e-4 / len(found)
+    brighter = agreement([renders[0].mean * 1.2, renders[1].mean], noise[:2], made[0].mask)
+    assert brighter[0].p_value < 1e-3
 
 
 # --- files -----------------------------------------------------------------------------
