@@ -124,19 +124,15 @@ def parameters(given: list[str]) -> dict[str, Any]:
     Raises:
         InputError: one is not of that form.
     """
-    import yaml
-
     from harness.core.protocol.errors import InputError
+    from harness.core.yamlfile import parse_yaml
 
     found = {}
     for item in given:
         key, equals, value = item.partition("=")
         if not (equals and key.isidentifier()):
             raise InputError(f"--param {item}: expected KEY=VALUE")
-        try:
-            found[key] = yaml.safe_load(value)
-        except yaml.YAMLError:
-            raise InputError(f"--param {item}: expected a value as in a suite") from None
+        found[key] = parse_yaml(value, f"--param {item}: expected a value as in a suite")
         if isinstance(found[key], str) and _EXPONENT.fullmatch(found[key]):
             # YAML takes 1e-3 for a text: it wants a point in it.
             found[key] = float(found[key])

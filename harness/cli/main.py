@@ -12,7 +12,7 @@ import typer
 VERBS = (
     *("run", "report", "status", "compare", "advise", "tune"),
     *("list", "check", "validate", "new", "doctor", "bench", "effects"),
-    *("fit", "material", "bake"),
+    *("fit", "material", "bake", "fuzz"),
 )
 REFUSED = 2
 INTERRUPTED = 130

@@ -7,7 +7,8 @@ from collections.abc import Mapping
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
-from harness.store.packing import digest, json_bytes, pack, parsed, unpack
+from harness.store.forms import checked_body
+from harness.store.packing import MOST_TEXT, digest, json_bytes, pack, parsed, unpack
 from harness.store.stored import DAMAGED, LABELS, Stored
 
 if TYPE_CHECKING:
@@ -33,7 +34,7 @@ class Texts:
             found[key] = digest(text)
             if found[key] not in self._known:
                 # What stands there under this digest may be damaged.
-                row = (found[key], pack(text))
+                row = (found[key], pack(text, most=MOST_TEXT))
                 self._connection.execute("INSERT OR REPLACE INTO text VALUES (?, ?)", row)
                 self._known[found[key]] = value
         return found
@@ -49,7 +50,8 @@ class Texts:
                 row = self._connection.execute(
                     "SELECT body FROM text WHERE digest = ?", (kept,)
                 ).fetchone()
-                text = unpack(row[0]) if row else b""
+                body = row[0] if row else b""
+                text = unpack(body, most=MOST_TEXT) if isinstance(body, bytes) and body else b""
                 if digest(text) != kept:
                     raise ValueError(f"the text {kept} does not match its checksum")
                 self._known[kept] = parsed(text)
@@ -87,7 +89,7 @@ def stored_of(
     try:
         if digest(body) != checksum:
             raise ValueError("it does not match its checksum")
-        data = parsed(body)
+        data = checked_body(parsed(body))
         if data.pop("trial_key") != key:
             raise ValueError("it is another trial's")
         data["kept_arrays"] = data.pop("arrays")
