@@ -65,7 +65,7 @@ def check(
         material or (), case or (), property_ or (), everything=everything, mitsuba=mitsuba
     )
     variant.use(device)
-    console = Console(highlight=False, markup=False)
+    console = Screen(highlight=False, markup=False)
     again = ["harness", "check", method, *(f"--param={item}" for item in param or [])]
     ending = [f"--seed={seed}", f"--device={device}"]
     counts: Counter[str] = Counter()

@@ -203,7 +203,7 @@ def examine() -> tuple[list[Finding], bool]:
 
 def show(rows: list[Finding], able: bool) -> None:
     """Print the table and the verdict."""
-    from rich.console import Console
+    from harness.core.terminal import Screen
     from rich.table import Table
     from rich.text import Text
 
@@ -216,7 +216,7 @@ def show(rows: list[Finding], able: bool) -> None:
         table.add_row(row.name, status, Text(row.found))
         if row.advice:
             table.add_row("", "", Text(f"-> {row.advice}", style="italic"))
-    console = Console(highlight=False)
+    console = Screen(highlight=False)
     console.print(table)
     if able:
         console.print("This machine can run the main job: harness run suites/table2.yaml")

@@ -28,12 +28,12 @@ def register(app: typer.Typer) -> None:
 
         if kind not in KINDS:
             raise InputError(f"fuzz: cannot spoil '{kind}'{nearest(kind, KINDS)}")
-        found = run(kind, count, seconds, seed, lambda text: typer.echo(text, err=True))
+        found = run(kind, count, seconds, seed, lambda text: print(text, file=sys.stderr, flush=True))
         for number, text in found.wrong.items():
-            typer.echo(f"seed {number} (harness fuzz {kind} --count 1 --seed {number}):\n{text}")
+            print(f"seed {number} (harness fuzz {kind} --count 1 --seed {number}):\n{text}")
         total = found.counts.total()
         parts = [f"{found.counts[key]} {key}" for key in ("accepted", "refused", "wrong")]
-        typer.echo(
+        print(
             f"{total} {kind}: {', '.join(parts)}; the slowest took {found.slowest:.1f} s;"
             f" {len(found.lines)} kinds of refusals"
         )

@@ -34,7 +34,7 @@ def register(app: typer.Typer) -> None:
         device: Annotated[str, typer.Option(help="cpu or cuda.")] = "cpu",
     ) -> None:
         """Trace queries of a surface, fit the network to them, and store it with its record."""
-        from rich.console import Console
+        from harness.core.terminal import Screen
         from rich.progress import Progress
 
         from harness.core.outputs import file_to_write
@@ -45,7 +45,7 @@ def register(app: typer.Typer) -> None:
             file_to_write(out, "--out", _is_ours, "a material of harness material train")
             under_way = out.with_suffix(".train")
             file_to_write(under_way, "--out: beside it", _is_training, "a training under way")
-        console = Console()
+        console = Screen()
         with Progress(console=console) as progress:
             task = progress.add_task("", total=1.0)
 
@@ -67,14 +67,14 @@ def register(app: typer.Typer) -> None:
         device: Annotated[str, typer.Option(help="cpu or cuda.")] = "cpu",
     ) -> None:
         """Print where a surface is too fine for a texture, before any training."""
-        from rich.console import Console
+        from harness.core.terminal import Screen
 
         from harness.microgeometry import descriptions
         from harness.training import report
 
         _ready(device)
         surfaces = [descriptions.load(name) for name in names]
-        Console().print(report.detail(surfaces, resolution, device))
+        Screen().print(report.detail(surfaces, resolution, device))
 
     @material.command()
     def show(
@@ -83,11 +83,11 @@ def register(app: typer.Typer) -> None:
         ] = None,
     ) -> None:
         """Print how materials were trained and how well they answer."""
-        from rich.console import Console
+        from harness.core.terminal import Screen
 
         from harness.materials.neural.files import shipped
 
-        _show(Console(), [_file(name) for name in names] if names else list(shipped().values()))
+        _show(Screen(), [_file(name) for name in names] if names else list(shipped().values()))
 
     @material.command()
     def measure(
@@ -96,14 +96,14 @@ def register(app: typer.Typer) -> None:
         device: Annotated[str, typer.Option(help="cpu or cuda.")] = "cpu",
     ) -> None:
         """Measure a material's errors again and rewrite its record; its tensors stay."""
-        from rich.console import Console
+        from harness.core.terminal import Screen
 
         from harness.training import recipe
 
         _ready(device)
         file = _file(name)
         recipe.measure(file, seed, device)
-        _show(Console(), [file])
+        _show(Screen(), [file])
 
     @material.command()
     def refine(
@@ -112,13 +112,13 @@ def register(app: typer.Typer) -> None:
         device: Annotated[str, typer.Option(help="cpu or cuda.")] = "cpu",
     ) -> None:
         """Teach a stored material energies, as a training's end does; rewrites its file."""
-        from rich.console import Console
+        from harness.core.terminal import Screen
         from rich.progress import Progress
 
         from harness.training import recipe
 
         _ready(device)
-        file, console = _file(name), Console()
+        file, console = _file(name), Screen()
         with Progress(console=console) as progress:
             task = progress.add_task("", total=1.0)
             recipe.refine(
@@ -141,14 +141,14 @@ def register(app: typer.Typer) -> None:
         device: Annotated[str, typer.Option(help="cpu or cuda.")] = "cpu",
     ) -> None:
         """Draw sphere, plane and slices of a material beside the path-traced truth."""
-        from rich.console import Console
+        from harness.core.terminal import Screen
 
         from harness.training import preview as pictures
 
         _ready(device)
         file = _file(name)
         written = pictures.write(file, description, _png(out, file), size, spp, device)
-        Console(highlight=False).print(f"{written}", soft_wrap=True)
+        Screen(highlight=False).print(f"{written}", soft_wrap=True)
 
     @material.command()
     def bench(
@@ -158,12 +158,12 @@ def register(app: typer.Typer) -> None:
         device: Annotated[str, typer.Option(help="cpu or cuda.")] = "cpu",
     ) -> None:
         """Time both stages beside a bare torch network of the decoder's size, in one run."""
-        from rich.console import Console
+        from harness.core.terminal import Screen
 
         from harness.bench import neural as timing
 
         _ready(device)
-        Console().print(timing.table(_file(name), rows, rounds, device))
+        Screen().print(timing.table(_file(name), rows, rounds, device))
 
 
 def _png(out: Path | None, file: Path) -> Path:

@@ -16,9 +16,9 @@ TEXTS = (
     "", " ", "\0", "a\0b", "\n", "a\nb", "\r", "\x1b[31mred", "\x1b]0;title\x07", "\x9b2J", "\x7f",
     "\u202eabc", "\u2028", "\ud800", "\udfff\ud800", "\ufeff", "\U0001f600", "é" * 60, "a" * 99,
     "a" * 101, "a" * 300, "a" * 5000, "a" * 30000, ".", "..", "../../../etc/passwd", "/dev/zero",
-    "/dev/full", "/proc/self/mem", "/", "~", "~nobody/x", "$HOME", "${x}", "%s%n", "=1+1", "+1",
-    "@x", "-x", "|x", "`x`", "<b>", "</script>", "[x](y)", "\\input{x}", "nan", "inf", "1e-3", "null",
-    "true", "table2.yaml", "scenes", "x.py:Y", "plan.py", ":", "a:b:c", "*", "[", "a/b", "a\\b",
+    "/dev/full", "/proc/self/x", "/", "~", "~nobody/x", "$HOME", "${x}", "%s%n", "=1+1", "+1",
+    "@x", "-x", "|x", "`x`", "<b>", "</script>", "[x](y)", "\\input{x}", "nan", "inf",
+    "1e-3", "null", "true", "table2.yaml", "scenes", "x.py:Y", "plan.py", ":", "a:b:c", "*", "[", "a/b", "a\\b",
     "CON", "fit", "quick", "fast", "knobs", "auto", "!!python/object:os.system",
 )  # fmt: skip
 

@@ -12,9 +12,12 @@ import time
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from pathlib import Path
 
-PATIENCE = 10.0
-"""Seconds for one input."""
+PATIENCE, ASLEEP = 10.0, 60.0
+"""Seconds for one input: of the processor, and on the clock, for one that waits for something."""
+_GLANCE = 2.0
+"""Seconds between two looks at a worker that is silent."""
 _STARTING = 300.0
 
 
@@ -48,16 +51,34 @@ class Worker:
         try:
             self.process.stdin.write(f"{seed}\n")
             self.process.stdin.flush()
-            line = self._line(PATIENCE)
+            line = self._answer()
         except BrokenPipeError:
             line = ""
         if line is None:
             self.end()
-            return {"kind": "wrong", "text": f"no answer after {PATIENCE:g} s"}
+            said = f"no answer after {PATIENCE:g} s of work or {ASLEEP:g} s"
+            return {"kind": "wrong", "text": said}
         if not line:
             status = self.process.wait()
             return {"kind": "wrong", "text": f"the process ended with status {status}"}
         return json.loads(line)
+
+    def _answer(self) -> str | None:
+        begun, worked = time.monotonic(), self._seconds()
+        while True:
+            line = self._line(_GLANCE)
+            late = time.monotonic() - begun > ASLEEP or self._seconds() - worked > PATIENCE
+            if line is not None or late:
+                return line
+
+    def _seconds(self) -> float:
+        """Of the processor, that the process has taken; 0 once it has ended."""
+        try:
+            text = Path(f"/proc/{self.process.pid}/stat").read_text()
+        except OSError:
+            return 0.0
+        user, system = text.rpartition(")")[2].split()[11:13]
+        return (int(user) + int(system)) / os.sysconf("SC_CLK_TCK")
 
     def end(self) -> None:
         """Kill it and what it began."""

@@ -25,6 +25,7 @@ class Texts:
     def __init__(self, connection: sqlite3.Connection):
         self._connection = connection
         self._known: dict[str, Any] = {}
+        self._bad: dict[str, str] = {}
 
     def put(self, data: Mapping[str, Any]) -> dict[str, str]:
         """The values of ``data`` as digests; call it inside a transaction."""
@@ -37,6 +38,7 @@ class Texts:
                 row = (found[key], pack(text, most=MOST_TEXT))
                 self._connection.execute("INSERT OR REPLACE INTO text VALUES (?, ?)", row)
                 self._known[found[key]] = value
+                self._bad.pop(found[key], None)
         return found
 
     def get(self, data: Mapping[str, str]) -> dict[str, Any]:
@@ -46,16 +48,26 @@ class Texts:
             ValueError: a text is not what was put.
         """
         for kept in data.values():
+            if kept in self._bad:
+                raise ValueError(self._bad[kept])
             if kept not in self._known:
                 row = self._connection.execute(
                     "SELECT body FROM text WHERE digest = ?", (kept,)
                 ).fetchone()
-                body = row[0] if row else b""
-                text = unpack(body, most=MOST_TEXT) if isinstance(body, bytes) and body else b""
-                if digest(text) != kept:
-                    raise ValueError(f"the text {kept} does not match its checksum")
-                self._known[kept] = parsed(text)
+                try:
+                    self._known[kept] = _text_of(row[0] if row else None, kept)
+                except ValueError as error:
+                    # It is asked for by many trials, and may take long to be found bad.
+                    self._bad[kept] = str(error)
+                    raise
         return {key: self._known[kept] for key, kept in data.items()}
+
+
+def _text_of(body: Any, kept: str) -> Any:
+    text = unpack(body, most=MOST_TEXT) if isinstance(body, bytes) else b""
+    if digest(text) != kept:
+        raise ValueError(f"the text {kept} does not match its checksum")
+    return parsed(text)
 
 
 def body_of(

@@ -163,7 +163,8 @@ def explained(folder: Path) -> Iterator[None]:
         yield
     except sqlite3.OperationalError as error:
         raise InputError(f"{folder / FILE}: {_sentence(str(error))}") from error
-    except sqlite3.DatabaseError as error:
+    except (sqlite3.DatabaseError, UnicodeDecodeError) as error:
+        # The latter: SQLite's own message names a table by bytes that are no text.
         raise Damaged(
             f"{folder / FILE}: is damaged ({error}); harness run sets it aside, keeps what can be"
             " read and measures the rest again"

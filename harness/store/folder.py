@@ -25,7 +25,15 @@ from harness.store import census, files
 from harness.store.bodies import Texts, body_of, stored_of
 from harness.store.database import Damaged, connect, explained, transaction
 from harness.store.forms import checked_plan
-from harness.store.packing import MOST_TEXT, digest, json_bytes, pack, packed_together, parsed, unpack
+from harness.store.packing import (
+    MOST_TEXT,
+    digest,
+    json_bytes,
+    pack,
+    packed_together,
+    parsed,
+    unpack,
+)
 from harness.store.stored import LABELS, NOT_RUN, Stored
 
 if TYPE_CHECKING:

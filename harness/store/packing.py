@@ -16,7 +16,7 @@ _LEVEL = 9
 MOST = 2**27
 """Bytes of one array or plan: no measure gives a tenth of it, and six megabytes may stand for it
 forty times over."""
-MOST_TEXT = 2**24
+MOST_TEXT = 2**23
 """Bytes of one trial's description, or of a text that trials share."""
 _WINDOW = 32768
 """Bytes that zlib looks back."""
