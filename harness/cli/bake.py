@@ -33,10 +33,10 @@ def register(app: typer.Typer) -> None:
         """Bake importance maps of random slices of a material, for fits that name the folder."""
         import time
 
-        from harness.core.terminal import Screen
         from rich.progress import Progress
 
         from harness.core.outputs import folder_to_fill
+        from harness.core.terminal import Screen
         from harness.importance_maps.database import MANIFEST, BakeSettings, bake_to
         from harness.materials import registry
 

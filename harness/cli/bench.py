@@ -25,11 +25,11 @@ def register(app: typer.Typer) -> None:
         ] = False,
     ) -> None:
         """Time samples, pdf queries and renders, beside Mitsuba's own path tracer."""
-        from harness.core.terminal import Screen
         from rich.table import Table
 
         from harness.bench import effect_overhead
         from harness.bench.adapters import run
+        from harness.core.terminal import Screen
 
         console = Screen()
         with console.status("preparing") as status:

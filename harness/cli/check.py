@@ -52,11 +52,10 @@ def check(
     or skip. Exit 1 if any fails. A correct adapter fails by chance less than once in a thousand
     runs.
     """
-    from rich.console import Console
-
     from harness.checks.plan import carry_out, make_plan
     from harness.core.protocol.errors import InputError, Unsupported
     from harness.core.registry import make
+    from harness.core.terminal import Screen
     from harness.mitsuba_runtime import variant
 
     given = parameters(param or [])

@@ -203,9 +203,10 @@ def examine() -> tuple[list[Finding], bool]:
 
 def show(rows: list[Finding], able: bool) -> None:
     """Print the table and the verdict."""
-    from harness.core.terminal import Screen
     from rich.table import Table
     from rich.text import Text
+
+    from harness.core.terminal import Screen
 
     colours = {OK: "green", NOTE: "yellow", MISSING: "bold red"}
     table = Table(box=None, pad_edge=False)

@@ -32,9 +32,8 @@ def register(app: typer.Typer) -> None:
         With --out harness/fitted they come with the harness: every run then takes such a fit for
         its own, with the time and the machine that it took, unless it is told to --refit.
         """
-        from harness.core.terminal import Screen
-
         from harness.core.outputs import file_to_write, folder_to_fill
+        from harness.core.terminal import Screen
         from harness.runner import shipped
         from harness.runner.only import parse
         from harness.runner.run import Options

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import sys
+from functools import partial
 from typing import Annotated
 
 import typer
@@ -28,7 +30,8 @@ def register(app: typer.Typer) -> None:
 
         if kind not in KINDS:
             raise InputError(f"fuzz: cannot spoil '{kind}'{nearest(kind, KINDS)}")
-        found = run(kind, count, seconds, seed, lambda text: print(text, file=sys.stderr, flush=True))
+        say = partial(print, file=sys.stderr, flush=True)
+        found = run(kind, count, seconds, seed, say)
         for number, text in found.wrong.items():
             print(f"seed {number} (harness fuzz {kind} --count 1 --seed {number}):\n{text}")
         total = found.counts.total()

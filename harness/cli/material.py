@@ -34,10 +34,10 @@ def register(app: typer.Typer) -> None:
         device: Annotated[str, typer.Option(help="cpu or cuda.")] = "cpu",
     ) -> None:
         """Trace queries of a surface, fit the network to them, and store it with its record."""
-        from harness.core.terminal import Screen
         from rich.progress import Progress
 
         from harness.core.outputs import file_to_write
+        from harness.core.terminal import Screen
         from harness.training import recipe
 
         _ready(device)
@@ -68,7 +68,6 @@ def register(app: typer.Typer) -> None:
     ) -> None:
         """Print where a surface is too fine for a texture, before any training."""
         from harness.core.terminal import Screen
-
         from harness.microgeometry import descriptions
         from harness.training import report
 
@@ -84,7 +83,6 @@ def register(app: typer.Typer) -> None:
     ) -> None:
         """Print how materials were trained and how well they answer."""
         from harness.core.terminal import Screen
-
         from harness.materials.neural.files import shipped
 
         _show(Screen(), [_file(name) for name in names] if names else list(shipped().values()))
@@ -97,7 +95,6 @@ def register(app: typer.Typer) -> None:
     ) -> None:
         """Measure a material's errors again and rewrite its record; its tensors stay."""
         from harness.core.terminal import Screen
-
         from harness.training import recipe
 
         _ready(device)
@@ -112,9 +109,9 @@ def register(app: typer.Typer) -> None:
         device: Annotated[str, typer.Option(help="cpu or cuda.")] = "cpu",
     ) -> None:
         """Teach a stored material energies, as a training's end does; rewrites its file."""
-        from harness.core.terminal import Screen
         from rich.progress import Progress
 
+        from harness.core.terminal import Screen
         from harness.training import recipe
 
         _ready(device)
@@ -142,7 +139,6 @@ def register(app: typer.Typer) -> None:
     ) -> None:
         """Draw sphere, plane and slices of a material beside the path-traced truth."""
         from harness.core.terminal import Screen
-
         from harness.training import preview as pictures
 
         _ready(device)
@@ -158,9 +154,8 @@ def register(app: typer.Typer) -> None:
         device: Annotated[str, typer.Option(help="cpu or cuda.")] = "cpu",
     ) -> None:
         """Time both stages beside a bare torch network of the decoder's size, in one run."""
-        from harness.core.terminal import Screen
-
         from harness.bench import neural as timing
+        from harness.core.terminal import Screen
 
         _ready(device)
         Screen().print(timing.table(_file(name), rows, rounds, device))

@@ -16,9 +16,8 @@ def register(app: typer.Typer) -> None:
         results_dir: Annotated[Path, typer.Argument(help="A folder that harness run wrote.")],
     ) -> None:
         """Make tables and figures again from what is stored; nothing is computed."""
-        from harness.core.terminal import Screen
-
         from harness.core.protocol.errors import InputError, nearest
+        from harness.core.terminal import Screen
         from harness.report import write as reports
 
         if not results_dir.is_dir():

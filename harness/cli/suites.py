@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -50,7 +51,6 @@ def planned(loaded: Loaded, profile: str | None, device: str) -> Plan:
 def run_and_report(plan: Plan, results: Path, options: Options) -> int:
     """Carry out what is not stored, then write the report and print its tables; the exit status."""
     from harness.core.terminal import Screen
-
     from harness.runner.run import INTERRUPTED, run
 
     console = Screen(highlight=False)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -63,7 +64,8 @@ def register(app: typer.Typer) -> None:
             t for t in plan.trials
             if t.measure == FIT and t.seed == first and t.material in wanted
         ]  # fmt: skip
-        found = tuning.tune(fits, plan.resolved.material, trials, seconds, partial(print, flush=True))
+        say = partial(print, flush=True)
+        found = tuning.tune(fits, plan.resolved.material, trials, seconds, say)
         data = {
             "suite": plan.suite,
             "seconds": seconds,

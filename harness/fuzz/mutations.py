@@ -18,7 +18,8 @@ TEXTS = (
     "a" * 101, "a" * 300, "a" * 5000, "a" * 30000, ".", "..", "../../../etc/passwd", "/dev/zero",
     "/dev/full", "/proc/self/x", "/", "~", "~nobody/x", "$HOME", "${x}", "%s%n", "=1+1", "+1",
     "@x", "-x", "|x", "`x`", "<b>", "</script>", "[x](y)", "\\input{x}", "nan", "inf",
-    "1e-3", "null", "true", "table2.yaml", "scenes", "x.py:Y", "plan.py", ":", "a:b:c", "*", "[", "a/b", "a\\b",
+    "1e-3", "null", "true", "table2.yaml", "scenes", "x.py:Y", "plan.py", ":", "a:b:c", "*", "[",
+    "a/b", "a\\b",
     "CON", "fit", "quick", "fast", "knobs", "auto", "!!python/object:os.system",
 )  # fmt: skip
 

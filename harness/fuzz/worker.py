@@ -1,5 +1,7 @@
 """``python -m harness.fuzz.worker KIND``: tries inputs by their seeds, a line of input each.
 
+A kind is one of ``KINDS``, or the class of another as ``module:Class``.
+
 A process of its own, since what is wrong may hang, take all memory or end the process. It may
 take ``MEMORY`` bytes beyond what it has once all is imported.
 """
@@ -30,7 +32,7 @@ def main() -> None:
     """Read seeds until there are none; say a line of JSON about each."""
     said = os.fdopen(os.dup(1), "w", encoding="utf-8")
     os.dup2(2, 1)  # what libraries print is no answer
-    module, _, name = KINDS[sys.argv[1]].partition(":")
+    module, _, name = KINDS.get(sys.argv[1], sys.argv[1]).partition(":")
     with tempfile.TemporaryDirectory(prefix="harness-fuzz-") as folder:
         fuzz: Fuzz = getattr(import_module(module), name)(Path(folder))
         most = _taken() + MEMORY

@@ -239,10 +239,12 @@ def _check_references(suite: Suite) -> None:
         for key in ("seeds", "training_seeds"):
             labels[f"profiles.{name}.{key}"] = getattr(profile, key) or []
     for key, values in labels.items():
+        seen: set[Any] = set()
         for index, value in enumerate(values):
-            if value in values[:index]:
+            if value in seen:
                 more = "; give one of them another label" if key == "methods" else ""
                 raise InputError(f"{key}[{index}]: '{value}' is listed twice{more}")
+            seen.add(value)
     for index, method in enumerate(suite.methods):
         if method.measures is not None:
             where = f"methods[{index}].measures"
