@@ -33,10 +33,10 @@ def register(app: typer.Typer) -> None:
         """Bake importance maps of random slices of a material, for fits that name the folder."""
         import time
 
-        from rich.console import Console
         from rich.progress import Progress
 
         from harness.core.outputs import folder_to_fill
+        from harness.core.terminal import Screen
         from harness.importance_maps.database import MANIFEST, BakeSettings, bake_to
         from harness.materials import registry
 
@@ -49,7 +49,7 @@ def register(app: typer.Typer) -> None:
             lambda place: (place / MANIFEST).is_file(),
             "a data base of importance maps",
         )
-        console, start = Console(), time.perf_counter()
+        console, start = Screen(), time.perf_counter()
         with Progress(console=console, transient=True) as progress:
             task = progress.add_task(f"{kind} maps of {material}", total=slices)
             made = bake_to(

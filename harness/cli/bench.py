@@ -25,13 +25,13 @@ def register(app: typer.Typer) -> None:
         ] = False,
     ) -> None:
         """Time samples, pdf queries and renders, beside Mitsuba's own path tracer."""
-        from rich.console import Console
         from rich.table import Table
 
         from harness.bench import effect_overhead
         from harness.bench.adapters import run
+        from harness.core.terminal import Screen
 
-        console = Console()
+        console = Screen()
         with console.status("preparing") as status:
             if effects:
                 rows = effect_overhead.run(device, rounds, status.update)

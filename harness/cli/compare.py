@@ -25,6 +25,6 @@ def register(app: typer.Typer) -> None:
         found, left_out = compared(run, again, tuple(metric or ()))
         for agreement in found:
             for line in agreement.lines():
-                typer.echo(line)
+                print(line)
         for reason in left_out:
-            typer.echo(f"left out: {reason}")
+            print(f"left out: {reason}")

@@ -203,9 +203,10 @@ def examine() -> tuple[list[Finding], bool]:
 
 def show(rows: list[Finding], able: bool) -> None:
     """Print the table and the verdict."""
-    from rich.console import Console
     from rich.table import Table
     from rich.text import Text
+
+    from harness.core.terminal import Screen
 
     colours = {OK: "green", NOTE: "yellow", MISSING: "bold red"}
     table = Table(box=None, pad_edge=False)
@@ -216,7 +217,7 @@ def show(rows: list[Finding], able: bool) -> None:
         table.add_row(row.name, status, Text(row.found))
         if row.advice:
             table.add_row("", "", Text(f"-> {row.advice}", style="italic"))
-    console = Console(highlight=False)
+    console = Screen(highlight=False)
     console.print(table)
     if able:
         console.print("This machine can run the main job: harness run suites/table2.yaml")

@@ -32,9 +32,8 @@ def register(app: typer.Typer) -> None:
         With --out harness/fitted they come with the harness: every run then takes such a fit for
         its own, with the time and the machine that it took, unless it is told to --refit.
         """
-        from rich.console import Console
-
         from harness.core.outputs import file_to_write, folder_to_fill
+        from harness.core.terminal import Screen
         from harness.runner import shipped
         from harness.runner.only import parse
         from harness.runner.run import Options
@@ -47,7 +46,7 @@ def register(app: typer.Typer) -> None:
         plan = planned(load(suite), profile, device)
         folder = results or Path("results") / plan.suite
         fits_folder = out or folder / "fitted"
-        console = Console(highlight=False)
+        console = Screen(highlight=False)
         chosen = f"{only},measure={FIT}" if only else f"measure={FIT}"
         if out is not None:
             folder_to_fill(out, "--out", shipped.is_folder_of_fits, "fitted samplers")

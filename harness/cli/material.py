@@ -41,10 +41,10 @@ def register(app: typer.Typer) -> None:
         device: Annotated[str, typer.Option(help="cpu or cuda.")] = "cpu",
     ) -> None:
         """Trace queries or walks of a surface, fit networks to them, store them with a record."""
-        from rich.console import Console
         from rich.progress import Progress
 
         from harness.core.outputs import file_to_write
+        from harness.core.terminal import Screen
         from harness.training import kinds
 
         kinds.check(kind, description, resume)
@@ -53,7 +53,7 @@ def register(app: typer.Typer) -> None:
             file_to_write(out, "--out", _is_ours, "a material of harness material train")
             under_way = out.with_suffix(".train")
             file_to_write(under_way, "--out: beside it", _is_training, "a training under way")
-        console = Console()
+        console = Screen()
         with Progress(console=console) as progress:
             task = progress.add_task("", total=1.0)
 
@@ -77,14 +77,13 @@ def register(app: typer.Typer) -> None:
         device: Annotated[str, typer.Option(help="cpu or cuda.")] = "cpu",
     ) -> None:
         """Print where a surface is too fine for a texture, before any training."""
-        from rich.console import Console
-
+        from harness.core.terminal import Screen
         from harness.microgeometry import descriptions
         from harness.training import report
 
         _ready(device)
         surfaces = [descriptions.load(name) for name in names]
-        Console().print(report.detail(surfaces, resolution, device))
+        Screen().print(report.detail(surfaces, resolution, device))
 
     @material.command()
     def show(
@@ -93,12 +92,11 @@ def register(app: typer.Typer) -> None:
         ] = None,
     ) -> None:
         """Print how materials were trained and how well they answer."""
-        from rich.console import Console
-
+        from harness.core.terminal import Screen
         from harness.training import kinds
 
         known = list(kinds.shipped().values())
-        _show(Console(), [_file(name) for name in names] if names else known)
+        _show(Screen(), [_file(name) for name in names] if names else known)
 
     @material.command()
     def measure(
@@ -107,14 +105,13 @@ def register(app: typer.Typer) -> None:
         device: Annotated[str, typer.Option(help="cpu or cuda.")] = "cpu",
     ) -> None:
         """Measure a material's errors again and rewrite its record; its tensors stay."""
-        from rich.console import Console
-
+        from harness.core.terminal import Screen
         from harness.training import kinds
 
         _ready(device)
         file = _file(name)
         kinds.measure(file, seed, device)
-        _show(Console(), [file])
+        _show(Screen(), [file])
 
     @material.command()
     def refine(
@@ -123,13 +120,13 @@ def register(app: typer.Typer) -> None:
         device: Annotated[str, typer.Option(help="cpu or cuda.")] = "cpu",
     ) -> None:
         """Teach a stored material energies, as a training's end does; rewrites its file."""
-        from rich.console import Console
         from rich.progress import Progress
 
+        from harness.core.terminal import Screen
         from harness.training import recipe
 
         _ready(device)
-        file, console = _file(name), Console()
+        file, console = _file(name), Screen()
         with Progress(console=console) as progress:
             task = progress.add_task("", total=1.0)
             recipe.refine(
@@ -152,14 +149,13 @@ def register(app: typer.Typer) -> None:
         device: Annotated[str, typer.Option(help="cpu or cuda.")] = "cpu",
     ) -> None:
         """Draw sphere, plane and slices of a material beside the path-traced truth."""
-        from rich.console import Console
-
+        from harness.core.terminal import Screen
         from harness.training import kinds
 
         _ready(device)
         file = _file(name)
         written = kinds.preview(file, description, _png(out, file), size, spp, device)
-        Console(highlight=False).print(f"{written}", soft_wrap=True)
+        Screen(highlight=False).print(f"{written}", soft_wrap=True)
 
     @material.command()
     def bench(
@@ -169,15 +165,14 @@ def register(app: typer.Typer) -> None:
         device: Annotated[str, typer.Option(help="cpu or cuda.")] = "cpu",
     ) -> None:
         """Time both stages beside a bare torch network of the decoder's size, in one run."""
-        from rich.console import Console
-
         from harness.bench import neural, puresample
+        from harness.core.terminal import Screen
         from harness.materials.puresample.files import is_one
 
         _ready(device)
         file = _file(name)
         timing = puresample if is_one(file) else neural
-        Console().print(timing.table(file, rows, rounds, device))
+        Screen().print(timing.table(file, rows, rounds, device))
 
 
 def _png(out: Path | None, file: Path) -> Path:

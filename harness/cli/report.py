@@ -16,15 +16,14 @@ def register(app: typer.Typer) -> None:
         results_dir: Annotated[Path, typer.Argument(help="A folder that harness run wrote.")],
     ) -> None:
         """Make tables and figures again from what is stored; nothing is computed."""
-        from rich.console import Console
-
         from harness.core.protocol.errors import InputError, nearest
+        from harness.core.terminal import Screen
         from harness.report import write as reports
 
         if not results_dir.is_dir():
             beside = [p.parent.name for p in results_dir.parent.glob("*/results.sqlite")]
             raise InputError(f"no such folder: {results_dir}{nearest(results_dir.name, beside)}")
-        console = Console(highlight=False)
+        console = Screen(highlight=False)
         loaded = reports.load(results_dir)
         files = loaded.write(lambda text: console.print(text, soft_wrap=True))
         loaded.print(console)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -63,7 +64,8 @@ def register(app: typer.Typer) -> None:
             t for t in plan.trials
             if t.measure == FIT and t.seed == first and t.material in wanted
         ]  # fmt: skip
-        found = tuning.tune(fits, plan.resolved.material, trials, seconds, typer.echo)
+        say = partial(print, flush=True)
+        found = tuning.tune(fits, plan.resolved.material, trials, seconds, say)
         data = {
             "suite": plan.suite,
             "seconds": seconds,
@@ -81,7 +83,7 @@ def register(app: typer.Typer) -> None:
         }
         text = yaml.safe_dump(data, sort_keys=False, width=100, default_flow_style=None)
         write_text(target, f"{_MARK} {plan.suite}\n{text.rstrip()}")
-        typer.echo(f"{target}: the best of {trials} forms of {len(found)} methods")
+        print(f"{target}: the best of {trials} forms of {len(found)} methods")
 
 
 def _of_tune(path: Path) -> bool:

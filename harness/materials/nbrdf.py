@@ -60,18 +60,31 @@ def read(path: Path, where: str) -> dict[str, NDArray[np.float32]]:
     for key, file in found.items():
         try:
             with file.open("rb") as stream:
+                shape, dtype = _head(stream)
+                if shape != SHAPES[key] or dtype.kind != "f":
+                    raise InputError(
+                        f"{where}: {file}: expected numbers of shape {list(SHAPES[key])}, got"
+                        f" {dtype} of {list(shape)}"
+                    )
+                stream.seek(0)
                 array = np.lib.format.read_array(stream, allow_pickle=False)
         except OSError as error:
             raise InputError(f"{where}: {file} cannot be read: {error.strerror}") from None
-        except (ValueError, EOFError) as error:
+        except InputError:
+            raise
+        except Exception as error:  # numpy reads the head as Python, which has many ways to fail
             raise InputError(f"{where}: {file} is no array of numbers: {error}") from None
-        if array.shape != SHAPES[key] or array.dtype.kind != "f":
-            raise InputError(
-                f"{where}: {file}: expected numbers of shape {list(SHAPES[key])}, got {array.dtype}"
-                f" of {list(array.shape)}"
-            )
         arrays[key] = array.astype(np.float32)
     return arrays
+
+
+def _head(stream: Any) -> tuple[tuple[int, ...], np.dtype[Any]]:
+    """Shape and type of an array, before room is made for it."""
+    if np.lib.format.read_magic(stream) == (1, 0):
+        shape, _, dtype = np.lib.format.read_array_header_1_0(stream)
+    else:
+        shape, _, dtype = np.lib.format.read_array_header_2_0(stream)
+    return shape, dtype
 
 
 class NbrdfMaterial(MeasuredColumns):

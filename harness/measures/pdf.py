@@ -12,6 +12,7 @@ from harness.fitting.targets import quadrature
 from harness.measures.base import Job, Measure, Outcome
 from harness.measures.base import Settings as BaseSettings
 from harness.measures.compact import single
+from harness.measures.densities import checked_density
 from harness.stats import divergence
 
 _ROWS = 1 << 20
@@ -68,7 +69,8 @@ class Pdf(Measure):
             lit = total[:, 0] > 0
             target = value[lit] / total[lit]
             many = rows.repeat_interleave(count, 0)
-            pdf = job.method.pdf(many, wo.reshape(-1, 2)).view(len(rows), count)[lit].double()
+            pdf = checked_density(job.method.pdf(many, wo.reshape(-1, 2)), job.method)
+            pdf = pdf.view(len(rows), count)[lit].double()
             each = [v.cpu().numpy() for v in (target, pdf, area[lit])]
             for name, function in _DIVERGENCES.items():
                 found[name].append(function(*each))
@@ -92,6 +94,8 @@ class Pdf(Measure):
     def _invalid_share(job: Job, condition: torch.Tensor, samples: int) -> np.ndarray:
         """Share of samples off the disk, per condition that is not black."""
         u = torch.rand(len(condition) * samples, 3, generator=job.generator)
-        wo, _ = job.method.sample(condition.repeat_interleave(samples, 0), u.to(condition.device))
+        many = condition.repeat_interleave(samples, 0)
+        wo, pdf = job.method.sample(many, u.to(condition.device))
+        checked_density(pdf, job.method, "sample's pdf")
         valid = inside_disk(wo).view(len(condition), samples).double().mean(1)
         return single((1 - valid).cpu().numpy())

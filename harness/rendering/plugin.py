@@ -52,8 +52,8 @@ class SampledBSDF(mi.BSDF):
     Reflective; from behind black, unless the material is the same from both sides. Mitsuba's
     value of ``sample`` is f cos / pdf with the pdf per solid angle, cos times the method's; or
     the method's own weight, if its pdf is no more than an approximation, which then only weighs
-    strategies. A sample off the disk has pdf 0 and value 0; what is not a number becomes
-    infinite, so that a broken method shows in the image.
+    strategies. A sample off the disk has pdf 0 and value 0; what is not a number, or a density that
+    is negative or infinite, becomes infinite, so that a broken method shows in the image.
 
     Render it through :mod:`harness.rendering.passes`, which has Mitsuba evaluate BSDF calls
     one material at a time; a method in torch cannot run inside a symbolic call.
@@ -103,9 +103,10 @@ class SampledBSDF(mi.BSDF):
         si, turned = self.facing(si)
         front = mi.Mask(active) & (si.wi.z > 0)
         x, y, pdf, *weight = self._draw(si, [sample1, sample2.x, sample2.y], front)
-        broken = front & (dr.isnan(x) | dr.isnan(y) | dr.isnan(pdf))
+        # A density is finite and not negative; what is none takes part in no guard below.
+        broken = front & (dr.isnan(x) | dr.isnan(y) | ~((pdf >= 0) & (pdf < dr.inf)))
         cos_squared = 1 - x * x - y * y
-        valid = front & (cos_squared > 0) & (pdf > 0)
+        valid = front & ~broken & (cos_squared > 0) & (pdf > 0)
         usable = valid | broken
         # Integrators drop samples whose density or value is nan, and the image would look
         # fine. Infinity they keep.
@@ -156,7 +157,7 @@ class SampledBSDF(mi.BSDF):
         value, pdf = self.eval(ctx, si, wo, active), self.pdf(ctx, si, wo, active)
         # A weight that is nan counts as zero, and hides where it came from. Density zero gives
         # the light's strategy, and with it infinity, the weight one.
-        broken = dr.isnan(pdf) | dr.any(dr.isnan(value))
+        broken = ~((pdf >= 0) & (pdf < dr.inf)) | dr.any(dr.isnan(value))
         return dr.select(broken, dr.inf, value), dr.select(broken, 0, pdf)
 
     def to_string(self) -> str:

@@ -85,7 +85,8 @@ def load(path: Path) -> tuple[Outcome, dict[str, Any]]:
             raise ValueError(f"format is {metadata.get('format')!r}")
         about = json.loads(metadata["record"])
         values = {record["metric"]: record["value"] for record in about.pop("records")}
-    except (OSError, SafetensorError, ValueError, KeyError, TypeError) as error:
+        about["started"], about["seconds"], about["environment"], about["parts"]
+    except (OSError, SafetensorError, ValueError, KeyError, TypeError, RecursionError) as error:
         raise InputError(f"{path}: not a fitted sampler: {error}; --refit does without") from None
     arrays = {n.removeprefix(_ARRAY): t.numpy() for n, t in tensors.items() if n.startswith(_ARRAY)}
     state = {n.removeprefix(_STATE): t for n, t in tensors.items() if n.startswith(_STATE)}

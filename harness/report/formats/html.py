@@ -7,6 +7,7 @@ from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
+from harness.core.text import printable
 from harness.report.table import Footnotes, Table
 
 
@@ -21,12 +22,19 @@ def render(template: str, **values: Any) -> str:
     return _environment().get_template(template).render(**values)
 
 
+def _seen(value: Any) -> Any:
+    """A text with nothing in it that a page may not hold; markup is ours, and stays."""
+    plain = isinstance(value, str) and not hasattr(value, "__html__")
+    return printable(value) if plain else value
+
+
 @cache
 def _environment() -> Environment:
     environment = Environment(
         loader=PackageLoader("harness.report", "templates"),
         autoescape=True,
         undefined=StrictUndefined,
+        finalize=_seen,
         keep_trailing_newline=True,
     )
     environment.globals["footnotes"] = Footnotes.of
