@@ -16,7 +16,7 @@ from harness.fitting.flow_method import FlowMethod
 from harness.fitting.precision import PRECISIONS, checked_precision
 from harness.nets import defensive, lobes, spline
 from harness.nets.coupling import CouplingNet, unit_normal_columns
-from harness.nets.encoding import ConditionEncoder
+from harness.nets.encoding import ConditionEncoder, Encoded
 from harness.nets.extremes import FAR, held
 from harness.nets.mlp import MLP
 
@@ -197,7 +197,7 @@ class NeuralSplineFlow(FlowMethod):
     def sample_columns(self, c: Columns, u: Columns) -> tuple[Float, Float, Float]:
         """See :meth:`ColumnMethod.sample_columns`."""
         net = self.module
-        encoded = net.encoder.columns(c)
+        encoded = net.encoder.encoded(c)
         mean, log_sigma, share = base = self._base(encoded)
         elsewhere = u[2] < share
         there = defensive.uniform_disk_columns(u)
@@ -219,7 +219,7 @@ class NeuralSplineFlow(FlowMethod):
 
     def pdf_columns(self, c: Columns, wo: Columns) -> Float:
         """See :meth:`ColumnMethod.pdf_columns`."""
-        encoded = self.module.encoder.columns(c)
+        encoded = self.module.encoder.encoded(c)
         numbers = self.module.x_given_y.columns(wo[1], encoded)
         return self._density(encoded, self._base(encoded), numbers, self._chord(wo[1]), wo)
 
@@ -230,7 +230,7 @@ class NeuralSplineFlow(FlowMethod):
         squared = (1 - y) * (1 + y)
         return dr.sqrt(dr.select(squared > 0, squared, 1))
 
-    def _base(self, encoded: Columns) -> tuple[Columns, Columns, Float | float]:
+    def _base(self, encoded: Encoded) -> tuple[Columns, Columns, Float | float]:
         """The Gaussian's mean and log sigma, and the uniform share."""
         out = self.module.base.columns(encoded)
         share = self.uniform
@@ -240,7 +240,7 @@ class NeuralSplineFlow(FlowMethod):
 
     def _density(
         self,
-        encoded: Columns,
+        encoded: Encoded,
         base: tuple[Columns, Columns, Float | float],
         numbers: Columns,
         chord: Float,

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor, nn
 
 from harness.core.columns.bridge import Columns, Float
-from harness.nets.encoding import sinusoids, sinusoids_columns
+from harness.nets.encoding import Encoded, sinusoids
 from harness.nets.mlp import MLP
 
 
@@ -41,9 +41,9 @@ class CouplingNet(nn.Module):
             x = layer(nn.functional.leaky_relu(x, self.mlp.slope))
         return x
 
-    def columns(self, coordinate: Float, encoded: Columns) -> Columns:
+    def columns(self, coordinate: Float, encoded: Encoded) -> Columns:
         """The same over columns."""
-        return self.mlp.columns(sinusoids_columns([coordinate], self.frequencies) + encoded)
+        return self.mlp.columns(Encoded.waves([coordinate], self.frequencies) + encoded)
 
 
 def unit_normal_columns(u: Columns) -> tuple[Float, Float]:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import Any
 
 import drjit as dr
 import drjit.nn
@@ -13,6 +14,8 @@ from torch import Tensor, nn
 from harness.core.columns.bridge import Columns, Float
 from harness.core.protocol import counting
 from harness.nets import activations
+from harness.nets.compiled import network
+from harness.nets.encoding import Encoded
 
 
 class MLP(nn.Module):
@@ -37,7 +40,7 @@ class MLP(nn.Module):
         if zero_last:
             nn.init.zeros_(self.layers[-1].weight)
             nn.init.zeros_(self.layers[-1].bias)
-        self._packed: tuple[bytes, list, list] | None = None
+        self._packed: tuple[bytes, dict[str, Any]] = b"", {}
 
     def forward(self, x: Tensor) -> Tensor:
         """[..., widths[0]] -> [..., widths[-1]]."""
@@ -46,14 +49,23 @@ class MLP(nn.Module):
             x = activations.value(self.activation, layer(x))
         return self.layers[-1](x)
 
-    def columns(self, x: Columns) -> Columns:
-        """The network over columns, ``len(x) == widths[0]``. No gradients."""
+    def columns(self, x: Columns | Encoded) -> Columns:
+        """The network over ``widths[0]`` columns. No gradients by its weights.
+
+        By the compiled kernels where :func:`harness.nets.compiled.network.usable` has them;
+        everything before and after is then a Dr.Jit kernel of its own. Otherwise by cooperative
+        vectors, or on a GPU written out, as part of one kernel.
+        """
+        x = x if isinstance(x, Encoded) else Encoded.plain(x)
         if counting.wanted():
-            counting.add("network", max(dr.width(column) for column in x))
-        if dr.backend_v(x[-1]) == dr.JitBackend.CUDA:
-            return self._columns_scalar(x)
-        weights, biases = self.packed(type(x[-1]))
-        v = drjit.nn.CoopVec(*x)
+            counting.add("network", max(dr.width(column) for column in x.raw))
+        if library := network.usable(x):
+            return self._kept("compiled", lambda n: self._compiled(library, n))(x)
+        inputs = x.inputs
+        if dr.backend_v(inputs[-1]) == dr.JitBackend.CUDA:
+            return self._columns_scalar(inputs)
+        weights, biases = self.packed(type(inputs[-1]))
+        v = drjit.nn.CoopVec(*inputs)
         for i, (w, b) in enumerate(zip(weights, biases, strict=True)):
             v = drjit.nn.matvec(w, v, b)
             if i < len(weights) - 1:
@@ -78,17 +90,31 @@ class MLP(nn.Module):
         return x
 
     def packed(self, array: type[Float]) -> tuple[list, list]:
-        """Weights as packed matrix views, made again whenever a parameter has changed."""
-        numbers = [p.detach().float().cpu().numpy() for p in self.parameters()]
-        # By content: torch's version counter misses the writes of fused optimisers.
-        content = b"".join(a.tobytes() for a in numbers)
-        if self._packed is None or self._packed[0] != content:
+        """Weights and biases as packed matrix views."""
+
+        def pack(numbers: list[np.ndarray]) -> tuple[list, list]:
             tensor = dr.tensor_t(array)
             weights = [tensor(np.ascontiguousarray(w)) for w in numbers[0::2]]
             biases = [array(b) for b in numbers[1::2]]
             packed = drjit.nn.pack(*weights, *biases, layout="inference")
-            self._packed = (content, packed[: len(weights)], packed[len(weights) :])
-        return self._packed[1], self._packed[2]
+            return packed[: len(weights)], packed[len(weights) :]
+
+        return self._kept("matrices", pack)
+
+    def _compiled(self, library: network.Library, numbers: list[np.ndarray]) -> network.Packed:
+        return network.Packed(library, numbers, self.activation, self.slope)
+
+    def _kept(self, what: str, make: Callable[[list[np.ndarray]], Any]) -> Any:
+        """A form of the weights, made again whenever a parameter has changed."""
+        numbers = [p.detach().float().cpu().numpy() for p in self.parameters()]
+        # By content: torch's version counter misses the writes of fused optimisers.
+        content = b"".join(a.tobytes() for a in numbers)
+        if self._packed[0] != content:
+            self._packed = content, {}
+        forms = self._packed[1]
+        if what not in forms:
+            forms[what] = make(numbers)
+        return forms[what]
 
     def __deepcopy__(self, memo: dict) -> MLP:
         clone = self.__new__(type(self))
@@ -96,7 +122,7 @@ class MLP(nn.Module):
         import copy
 
         clone.layers = copy.deepcopy(self.layers, memo)
-        clone.activation, clone.slope, clone._packed = self.activation, self.slope, None
+        clone.activation, clone.slope, clone._packed = self.activation, self.slope, (b"", {})
         return clone
 
 

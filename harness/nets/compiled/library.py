@@ -1,0 +1,91 @@
+"""The compiled kernels, loaded once for a process; or why there are none."""
+
+from __future__ import annotations
+
+import ctypes
+import time
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+
+import drjit as dr
+
+from harness.nets.compiled import build
+from harness.nets.compiled.instruction_sets import chosen
+
+FALLBACK = "drjit"
+"""What runs the networks where there are no compiled kernels."""
+
+
+@dataclass(frozen=True)
+class Library:
+    """``name`` of the instruction set; ``seconds`` to build (where it was not there) and load."""
+
+    name: str
+    seconds: float
+    pack: ctypes._CFuncPtr
+    network: ctypes._CFuncPtr
+    functions: ctypes._CFuncPtr
+    width: int
+    submit: int | None
+    wait: int | None
+
+
+@lru_cache(maxsize=1)
+def found() -> Library | str:
+    """The library for this processor, or one line that says why there is none.
+
+    Raises:
+        InputError: the environment variable names what is not there.
+    """
+    target = chosen()
+    if isinstance(target, str):
+        return target
+    start = time.perf_counter()
+    try:
+        loaded = ctypes.CDLL(str(build.library(target)))
+    except build.BuildFailed as error:
+        return str(error)
+    except OSError as error:
+        return f"the library does not load: {error}"
+    submit, wait = _pool()
+    loaded.harness_pack.restype = loaded.harness_network.restype = None
+    return Library(
+        name=target.name,
+        seconds=time.perf_counter() - start,
+        pack=loaded.harness_pack,
+        network=loaded.harness_network,
+        functions=loaded.harness_functions,
+        width=int(loaded.harness_width()),
+        submit=submit,
+        wait=wait,
+    )
+
+
+def name() -> str:
+    """What runs networks over columns on this machine's CPU: an instruction set, or Dr.Jit."""
+    library = found()
+    return FALLBACK if isinstance(library, str) else library.name
+
+
+def why_not() -> str:
+    """One line that says why there are no compiled kernels; empty where there are."""
+    library = found()
+    return library if isinstance(library, str) else ""
+
+
+def _pool() -> tuple[int | None, int | None]:
+    """Addresses of Dr.Jit's own thread pool, so that both use the same threads.
+
+    Without, everything runs in the calling thread.
+    """
+    for file in Path(dr.__file__).parent.glob("*nanothread*"):
+        try:
+            pool = ctypes.CDLL(str(file))
+            return tuple(
+                ctypes.cast(getattr(pool, symbol), ctypes.c_void_p).value
+                for symbol in ("task_submit_dep", "task_wait_and_release")
+            )
+        except (OSError, AttributeError):
+            continue
+    return None, None
