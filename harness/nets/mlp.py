@@ -13,8 +13,7 @@ from torch import Tensor, nn
 
 from harness.core.columns.bridge import Columns, Float
 from harness.core.protocol import counting
-from harness.nets import activations
-from harness.nets.compiled import network
+from harness.nets import activations, compiled_network
 from harness.nets.encoding import Encoded
 
 
@@ -52,14 +51,14 @@ class MLP(nn.Module):
     def columns(self, x: Columns | Encoded) -> Columns:
         """The network over ``widths[0]`` columns. No gradients by its weights.
 
-        By the compiled kernels where :func:`harness.nets.compiled.network.usable` has them;
+        By the compiled kernels where :func:`harness.nets.compiled_network.usable` has them;
         everything before and after is then a Dr.Jit kernel of its own. Otherwise by cooperative
         vectors, or on a GPU written out, as part of one kernel.
         """
         x = x if isinstance(x, Encoded) else Encoded.plain(x)
         if counting.wanted():
             counting.add("network", max(dr.width(column) for column in x.raw))
-        if library := network.usable(x):
+        if library := compiled_network.usable(x):
             return self._kept("compiled", lambda n: self._compiled(library, n))(x)
         inputs = x.inputs
         if dr.backend_v(inputs[-1]) == dr.JitBackend.CUDA:
@@ -101,8 +100,8 @@ class MLP(nn.Module):
 
         return self._kept("matrices", pack)
 
-    def _compiled(self, library: network.Library, numbers: list[np.ndarray]) -> network.Packed:
-        return network.Packed(library, numbers, self.activation, self.slope)
+    def _compiled(self, library: compiled_network.Library, numbers: list[np.ndarray]) -> compiled_network.Packed:
+        return compiled_network.Packed(library, numbers, self.activation, self.slope)
 
     def _kept(self, what: str, make: Callable[[list[np.ndarray]], Any]) -> Any:
         """A form of the weights, made again whenever a parameter has changed."""

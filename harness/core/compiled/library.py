@@ -10,8 +10,8 @@ from pathlib import Path
 
 import drjit as dr
 
-from harness.nets.compiled import build
-from harness.nets.compiled.instruction_sets import chosen
+from harness.core.compiled import build
+from harness.core.compiled.instruction_sets import chosen
 
 FALLBACK = "drjit"
 """What runs the networks where there are no compiled kernels."""
@@ -25,6 +25,7 @@ class Library:
     seconds: float
     pack: ctypes._CFuncPtr
     network: ctypes._CFuncPtr
+    transpose: ctypes._CFuncPtr
     functions: ctypes._CFuncPtr
     width: int
     submit: int | None
@@ -49,12 +50,14 @@ def found() -> Library | str:
     except OSError as error:
         return f"the library does not load: {error}"
     submit, wait = _pool()
-    loaded.harness_pack.restype = loaded.harness_network.restype = None
+    for function in (loaded.harness_pack, loaded.harness_network, loaded.harness_transpose):
+        function.restype = None
     return Library(
         name=target.name,
         seconds=time.perf_counter() - start,
         pack=loaded.harness_pack,
         network=loaded.harness_network,
+        transpose=loaded.harness_transpose,
         functions=loaded.harness_functions,
         width=int(loaded.harness_width()),
         submit=submit,

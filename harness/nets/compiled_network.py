@@ -9,8 +9,8 @@ import drjit as dr
 import numpy as np
 
 from harness.core.columns.bridge import Columns
-from harness.nets.compiled.library import Library, found
-from harness.nets.compiled.memory import addresses, empty
+from harness.core.compiled.library import Library, found
+from harness.core.compiled.memory import addresses, empty
 from harness.nets.encoding import Encoded
 
 MOST = 4096

@@ -277,6 +277,34 @@ void task(uint32_t index, void *payload) {
     work(job, first, first + CHUNK < blocks ? first + CHUNK : blocks);
 }
 
+// A matrix in row-major order, to be written column by column.
+struct Table {
+    const float *from;
+    float *to;
+    uint32_t rows, columns;
+    int64_t stride;
+};
+
+void transpose(const Table &t, uint32_t first, uint32_t last) {
+    constexpr uint32_t LINE = 16;  // floats of a cache line
+    for (uint32_t row = first; row < last; row += LINE) {
+        const uint32_t end = row + LINE < last ? row + LINE : last;
+        for (uint32_t c = 0; c < t.columns; c++) {
+            const float *from = t.from + c;
+            float *to = t.to + size_t(c) * t.rows;
+            for (uint32_t r = row; r < end; r++) to[r] = from[int64_t(r) * t.stride];
+        }
+    }
+}
+
+constexpr uint32_t ROWS = 4096;  // in a task
+
+void transpose_task(uint32_t index, void *payload) {
+    const Table &t = **static_cast<Table **>(payload);
+    const uint32_t first = index * ROWS;
+    transpose(t, first, first + ROWS < t.rows ? first + ROWS : t.rows);
+}
+
 typedef void *(*Submit)(void *pool, const void *const *parents, uint32_t parent_count, uint32_t size,
                         void (*function)(uint32_t, void *), void *payload, uint32_t payload_size,
                         void (*deleter)(void *), int always_async, int profile);
@@ -312,6 +340,19 @@ void harness_network(const Network *net, uint32_t rows, const float *const *in, 
     Job *payload = &job;
     void *made = submit(nullptr, nullptr, 0, tasks, task, &payload, sizeof(payload), nullptr, 1, 0);
     wait(made);
+}
+
+// [rows][columns] at `from`, `stride` floats from row to row, to [columns][rows] at `to`.
+void harness_transpose(const float *from, int64_t stride, uint32_t rows, uint32_t columns, float *to,
+                       Submit submit, Wait wait) {
+    Table table{from, to, rows, columns, stride};
+    const uint32_t tasks = (rows + ROWS - 1) / ROWS;
+    if (!submit || tasks < 2) {
+        transpose(table, 0, rows);
+        return;
+    }
+    Table *payload = &table;
+    wait(submit(nullptr, nullptr, 0, tasks, transpose_task, &payload, sizeof(payload), nullptr, 1, 0));
 }
 
 // Exponential, sine and cosine of n values (a multiple of WIDTH), for tests.
