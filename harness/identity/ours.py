@@ -6,9 +6,9 @@ import atexit
 from functools import lru_cache
 from pathlib import Path
 
+from harness.core.cache_folder import cache_folder
 from harness.core.classes import named
 from harness.core.paths import METHODS, ROOT
-from harness.core.cache_folder import cache_folder
 from harness.identity.cache import Cache
 from harness.identity.digests import Digests, Part
 from harness.identity.modules import CALLED

@@ -4,17 +4,19 @@ from __future__ import annotations
 
 import ctypes
 from collections.abc import Sequence
+from typing import Any
 
 import drjit as dr
 import numpy as np
 
-from harness.core.columns.bridge import Columns
+from harness.core.columns.bridge import Columns, Float
 from harness.core.compiled.library import Library, found
 from harness.core.compiled.memory import addresses, empty
 from harness.nets.encoding import Encoded
 
 MOST = 4096
 """Columns, and neurons of a layer, that the kernel has room for."""
+_OUTPUTS, _WARP, _UNWARP, _DRAW = range(4)
 _ACTIVATIONS = {"relu": 0, "leaky_relu": 0, "silu": 1}
 
 
@@ -41,13 +43,13 @@ class _Network(ctypes.Structure):
     ]
 
 
-def usable(x: Encoded) -> Library | None:
+def usable(x: Encoded, *others: Float) -> Library | None:
     """The kernels, if they can run a network on these columns now.
 
     Not inside of what Dr.Jit records to run later, where columns have no values yet; not for
     derivatives by the columns, which only Dr.Jit has; not on a GPU.
     """
-    raw = x.raw
+    raw = [*x.raw, *others]
     if dr.backend_v(raw[-1]) != dr.JitBackend.LLVM or dr.flag(dr.JitFlag.SymbolicScope):
         return None
     if any(dr.grad_enabled(column) for column in raw):
@@ -80,19 +82,38 @@ class Packed:
             layer.weights, layer.biases = packed.ctypes.data, bias.ctypes.data
             self._kept += [packed, bias]
         self.outputs = pairs[-1][0].shape[0]
+        self._encoding: tuple[tuple, Any] = (), None
 
     def __call__(self, x: Encoded) -> Columns:
         """The network's outputs; computed when it returns."""
-        raw = x.raw
+        return self._run(x, _OUTPUTS, [], self.outputs)
+
+    def warp(self, x: Encoded, value: Float) -> Columns:
+        """``(y, dy/dx)`` of the spline that the outputs describe: :func:`spline.warp_columns`."""
+        return self._run(x, _WARP, [value], 2)
+
+    def unwarp(self, x: Encoded, value: Float) -> Columns:
+        """The inverse: :func:`spline.unwarp_columns`."""
+        return self._run(x, _UNWARP, [value], 1)
+
+    def draw(self, x: Encoded, value: Float, keep: Any, kept: Float, chord: Float) -> Columns:
+        """``(place, y, dy/dx)``: see :meth:`CouplingNet.draw_columns`."""
+        return self._run(x, _DRAW, [value, dr.select(keep, type(value)(1), 0), kept, chord], 3)
+
+    def _run(self, x: Encoded, use: int, extra: Columns, outputs: int) -> Columns:
+        """All that this reads is computed before, in one kernel of Dr.Jit's if it can be."""
+        raw = [*x.raw, *extra]
         rows = max(dr.width(column) for column in raw)
         array = type(raw[-1])
         if rows == 0:
-            return [array() for _ in range(self.outputs)]
-        out = empty(array, rows, self.outputs)
+            return [array() for _ in range(outputs)]
+        # Copies: what a caller holds stays as it is, a literal a literal.
+        raw = [array(column) for column in raw]
+        out = empty(array, rows, outputs)
         places = addresses([*raw, *out])
-        inputs = _inputs(x)
+        inputs = self._inputs(x)
         network = _Network(
-            len(raw), x.width, len(self.layers), self.activation, self.slope, x.as_it_is,
+            len(x.raw), x.width, len(self.layers), self.activation, self.slope, x.as_it_is,
             ctypes.addressof(inputs), ctypes.addressof(self.layers),
         )  # fmt: skip
         wide = (ctypes.c_uint8 * len(raw))(*(dr.width(column) != 1 for column in raw))
@@ -102,10 +123,20 @@ class Packed:
             _pointers(places[: len(raw)]),
             wide,
             _pointers(places[len(raw) :]),
+            ctypes.c_int32(use),
             ctypes.c_void_p(self.library.submit),
             ctypes.c_void_p(self.library.wait),
         )
         return out
+
+    def _inputs(self, x: Encoded) -> ctypes.Array:
+        """How each raw column is encoded; made again where that changes."""
+        shape = tuple(
+            (len(g.columns), g.frequencies, tuple(g.mean), tuple(g.scale)) for g in x.groups
+        )
+        if self._encoding[0] != shape:
+            self._encoding = shape, _inputs(x)
+        return self._encoding[1]
 
 
 def _inputs(x: Encoded) -> ctypes.Array:

@@ -12,8 +12,10 @@ import torch
 from torch import Tensor, nn
 
 from harness.core.columns.bridge import Columns, Float
+from harness.core.compiled.library import Library
 from harness.core.protocol import counting
-from harness.nets import activations, compiled_network
+from harness.nets import activations
+from harness.nets.compiled_network import Packed, usable
 from harness.nets.encoding import Encoded
 
 
@@ -58,8 +60,8 @@ class MLP(nn.Module):
         x = x if isinstance(x, Encoded) else Encoded.plain(x)
         if counting.wanted():
             counting.add("network", max(dr.width(column) for column in x.raw))
-        if library := compiled_network.usable(x):
-            return self._kept("compiled", lambda n: self._compiled(library, n))(x)
+        if library := usable(x):
+            return self.compiled(library)(x)
         inputs = x.inputs
         if dr.backend_v(inputs[-1]) == dr.JitBackend.CUDA:
             return self._columns_scalar(inputs)
@@ -100,8 +102,9 @@ class MLP(nn.Module):
 
         return self._kept("matrices", pack)
 
-    def _compiled(self, library: compiled_network.Library, numbers: list[np.ndarray]) -> compiled_network.Packed:
-        return compiled_network.Packed(library, numbers, self.activation, self.slope)
+    def compiled(self, library: Library) -> Packed:
+        """The network as the compiled kernels run it."""
+        return self._kept("compiled", lambda n: Packed(library, n, self.activation, self.slope))
 
     def _kept(self, what: str, make: Callable[[list[np.ndarray]], Any]) -> Any:
         """A form of the weights, made again whenever a parameter has changed."""

@@ -14,10 +14,11 @@ from harness.core.cache_folder import cache_folder
 from harness.core.compiled.instruction_sets import InstructionSet
 
 SOURCE = Path(__file__).with_name("columns.cpp")
-CONTENT = "ab66968370e9a94f"
+CONTENT = "815187990ae8c187"
 """First digits of the source's SHA-256: through this name the source counts in digests of code."""
 OPTIONS = (
-    "-O3", "-std=c++17", "-shared", "-fPIC", "-fno-exceptions", "-ffp-contract=fast", "-fno-math-errno",
+    "-O3", "-std=c++17", "-shared", "-fPIC", "-fno-exceptions", "-fno-math-errno",
+    "-ffp-contract=fast",
 )  # fmt: skip
 COMPILERS = ("c++", "g++", "clang++")
 LONGEST = 300.0
@@ -50,7 +51,9 @@ def library(target: InstructionSet, folder: Path | None = None) -> Path:
         BuildFailed: no compiler, one that fails, or a folder that cannot be written.
     """
     if digest() != CONTENT:
-        raise BuildFailed(f"{SOURCE.name} is not the one that {Path(__file__).name} names: its digest is {digest()}")
+        raise BuildFailed(
+            f"{SOURCE.name} has the digest {digest()}, and {Path(__file__).name} expects {CONTENT}"
+        )
     path = compiler()
     if path is None:
         raise BuildFailed("no C++ compiler found")
@@ -97,7 +100,9 @@ def _compile(command: list[str]) -> str:
         return f"{command[0]} does not run: {error.strerror}"
     if done.returncode == 0:
         return ""
-    lines = [line for line in done.stderr.splitlines() if "error" in line] or done.stderr.splitlines()
+    lines = [
+        line for line in done.stderr.splitlines() if "error" in line
+    ] or done.stderr.splitlines()
     return f"{command[0]}: {_first_line(lines[0] if lines else f'status {done.returncode}')}"
 
 

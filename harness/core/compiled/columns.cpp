@@ -9,6 +9,10 @@
 #include <cstdint>
 #include <cstring>
 
+#if defined(__x86_64__)
+#include <immintrin.h>
+#endif
+
 #ifndef WIDTH
 #define WIDTH 8
 #endif
@@ -41,7 +45,18 @@ INLINE void store(float *p, Floats v) { memcpy(p, &v, sizeof(v)); }
 // Not 0 + x, which would cost an addition: it is not x where x is -0.
 INLINE Floats all(float x) { return x - Floats{}; }
 
-INLINE Floats truncated(Floats v) { return __builtin_convertvector(__builtin_convertvector(v, Ints), Floats); }
+INLINE Floats magnitude(Floats v) { return (Floats)((Ints)v & 0x7fffffff); }
+
+INLINE Floats square_root(Floats v) {
+#if WIDTH == 16 && defined(__AVX512F__)
+    return (Floats)_mm512_sqrt_ps((__m512)v);
+#elif WIDTH == 8 && defined(__AVX__)
+    return (Floats)_mm256_sqrt_ps((__m256)v);
+#else
+    for (int i = 0; i < WIDTH; i++) v[i] = std::sqrt(v[i]);
+    return v;
+#endif
+}
 
 // Nearest whole number of |v| < 2^22.
 INLINE Floats nearest(Floats v) {
@@ -94,6 +109,20 @@ INLINE void sine_and_cosine(Floats v, Floats &sine, Floats &cosine) {
     Floats a = odd ? c : s, b = odd ? s : c;
     sine = (turn & 2) != 0 ? -a : a;
     cosine = ((turn + 1) & 2) != 0 ? -b : b;
+}
+
+// log(1 + e) for e in [0, 1]: the series of the inverse hyperbolic tangent at e / (2 + e) <= 1/3.
+INLINE Floats log_of_one_and(Floats e) {
+    Floats t = e / (2.0f + e), q = t * t;
+    Floats p = all(1.0f / 15);
+    p = p * q + 1.0f / 13;
+    p = p * q + 1.0f / 11;
+    p = p * q + 1.0f / 9;
+    p = p * q + 1.0f / 7;
+    p = p * q + 1.0f / 5;
+    p = p * q + 1.0f / 3;
+    p = p * q * t + t;
+    return 2.0f * p;
 }
 
 enum Activation { RELU = 0, SILU = 1 };
@@ -218,27 +247,167 @@ void encode(const Network &net, const float *const *in, float *to) {
     }
 }
 
+// --- Rational-quadratic splines: the mathematics of harness/nets/spline.py, row by row -----------
+
+constexpr float MINIMUM = 1e-3f, STEEPEST = 1e3f;
+constexpr int MOST_BINS = 512;
+
+struct Bin {
+    Floats anchor, x0, x1, y0, y1, d0, d1;
+};
+
+INLINE Floats derivative(Floats raw) {
+    // What is added is log(exp(1 - MINIMUM) - 1): zero is slope one.
+    Floats v = raw / (1.0f + magnitude(raw) * (1 / STEEPEST)) + 0.539742417236952f;
+    return MINIMUM + (v > 0.0f ? v : v * 0.0f) + log_of_one_and(exponential(-magnitude(v)));
+}
+
+// Knots [bins + 1] from the logits of bin sizes: from -1 up to the middle, from 1 down to it.
+INLINE void knots(const float *logits, int bins, Floats *knot) {
+    Floats top = load(logits);
+    for (int k = 1; k < bins; k++) {
+        Floats v = load(logits + k * BLOCK);
+        top = v > top ? v : top;
+    }
+    Floats total = Floats{};
+    for (int k = 0; k < bins; k++) {
+        knot[k] = exponential(load(logits + k * BLOCK) - top);
+        total = k ? total + knot[k] : knot[k];
+    }
+    const Floats scale = (2 - 2 * MINIMUM * bins) / total;
+    const int half = bins / 2;
+    Floats sum = Floats{};
+    for (int k = 0; k <= half; k++) {
+        Floats step = knot[k] * scale + 2 * MINIMUM;
+        knot[k] = sum;
+        sum = sum + step;
+    }
+    sum = Floats{};
+    for (int k = bins - 1; k > half; k--) {
+        Floats step = knot[k] * scale + 2 * MINIMUM;
+        knot[k + 1] = sum;
+        sum = sum - step;
+    }
+    knot[half + 1] = sum;
+}
+
+// The bin of `value` by its knots on x (axis 0) or y (axis 1).
+INLINE Bin find(const float *numbers, int bins, Floats value, int axis, Floats (*knot)[MOST_BINS]) {
+    knots(numbers, bins, knot[0]);
+    knots(numbers + bins * BLOCK, bins, knot[1]);
+    const float *slopes = numbers + 2 * bins * BLOCK;
+    const int half = bins / 2;
+    const Floats below = value + 1.0f, above = value - 1.0f, *along = knot[axis];
+    Bin b = {all(-1.0f), knot[0][0], knot[0][1], knot[1][0], knot[1][1], Floats{}, load(slopes)};
+    for (int k = 1; k < bins; k++) {
+        Ints reached = along[k] <= (k <= half ? below : above);
+        // The middle bin begins on one side and ends on the other.
+        const float shift = k == half ? 2.0f : 0.0f;
+        b.x0 = reached ? knot[0][k] : b.x0;
+        b.x1 = reached ? knot[0][k + 1] + shift : b.x1;
+        b.y0 = reached ? knot[1][k] : b.y0;
+        b.y1 = reached ? knot[1][k + 1] + shift : b.y1;
+        b.d0 = reached ? load(slopes + (k - 1) * BLOCK) : b.d0;
+        b.d1 = reached ? (k + 1 < bins ? load(slopes + k * BLOCK) : Floats{}) : b.d1;
+        if (k == half + 1) b.anchor = reached ? all(1.0f) : b.anchor;
+    }
+    b.d0 = derivative(b.d0);
+    b.d1 = derivative(b.d1);
+    return b;
+}
+
+INLINE Floats clipped(Floats v, Floats low, Floats high) {
+    v = v < low ? low : v;
+    return v > high ? high : v;
+}
+
+// One function for every caller, so that a density is the same bits wherever it is asked for.
+__attribute__((noinline)) void warp(const float *numbers, int bins, const float *at, float *to,
+                                    float *slopes) {
+    Floats knot[2][MOST_BINS];
+    for (int row = 0; row < BLOCK; row += WIDTH) {
+        const Floats v = load(at + row);
+        const Bin b = find(numbers + row, bins, v, 0, knot);
+        const Floats width = b.x1 - b.x0, height = b.y1 - b.y0, s = height / width;
+        const Floats x = clipped(v - b.anchor, b.x0, b.x1);
+        const Floats xi = (x - b.x0) / width, rest = (b.x1 - x) / width;
+        const Floats mixed = xi * rest, square = xi * xi, opposite = rest * rest;
+        const Floats d = s * (square + opposite) + (b.d0 + b.d1) * mixed;
+        const Floats y = b.anchor + (b.y0 + height * ((s * square + b.d0 * mixed) / d));
+        const Floats ratio = s / d;
+        const Floats slope = ratio * ratio * (b.d1 * square + 2.0f * s * mixed + b.d0 * opposite);
+        const Ints inside = magnitude(v) < 1.0f;
+        store(to + row, inside ? y : v);
+        store(slopes + row, inside ? slope : all(1.0f));
+    }
+}
+
+__attribute__((noinline)) void unwarp(const float *numbers, int bins, const float *at, float *to) {
+    Floats knot[2][MOST_BINS];
+    for (int row = 0; row < BLOCK; row += WIDTH) {
+        const Floats v = load(at + row);
+        const Bin b = find(numbers + row, bins, v, 1, knot);
+        const Floats width = b.x1 - b.x0, height = b.y1 - b.y0, s = height / width;
+        const Floats y = clipped(v - b.anchor, b.y0, b.y1);
+        const Floats theta = (y - b.y0) / height, rest = (b.y1 - y) / height;
+        const Floats e = b.d0 * rest - b.d1 * theta;
+        const Floats t = magnitude(e) + square_root(e * e + 4.0f * s * s * theta * rest);
+        const Ints rising = e >= 0.0f;
+        const Floats near = 2.0f * s * (rising ? theta : rest);
+        const Floats step = width * (near / (near + t));
+        const Floats x = b.anchor + (rising ? b.x0 + step : b.x1 - step);
+        store(to + row, magnitude(v) < 1.0f ? x : v);
+    }
+}
+
+// What the network's outputs are used for.
+enum Use { OUTPUTS_THEMSELVES = 0, WARP = 1, UNWARP = 2, DRAW = 3 };
+
+// Extra columns per use: the value; for DRAW also keep (1 or 0), what to keep, and the chord.
+INLINE int extra_columns(int use) { return use == OUTPUTS_THEMSELVES ? 0 : use == DRAW ? 4 : 1; }
+INLINE int result_columns(int use, int outputs) {
+    return use == OUTPUTS_THEMSELVES ? outputs : use == DRAW ? 3 : use == WARP ? 2 : 1;
+}
+
+void splines(int use, const float *numbers, int bins, const float *const *extra, float *const *out) {
+    if (use == WARP) {
+        warp(numbers, bins, extra[0], out[0], out[1]);
+    } else if (use == UNWARP) {
+        unwarp(numbers, bins, extra[0], out[0]);
+    } else {
+        alignas(64) float at[BLOCK];
+        unwarp(numbers, bins, extra[0], at);
+        for (int row = 0; row < BLOCK; row += WIDTH) {
+            const Floats chord = load(extra[3] + row);
+            const Floats place = load(extra[1] + row) != 0.0f ? load(extra[2] + row) : load(at + row) * chord;
+            store(out[0] + row, place);
+            store(at + row, place / chord);
+        }
+        warp(numbers, bins, at, out[1], out[2]);
+    }
+}
+
 struct Job {
     const Network *net;
     uint32_t rows;
     const float *const *in;
     const uint8_t *wide;  // whether a column has a value per row, or one for all
     float *const *out;
-    float *const *scratch_of;
-    int widest, outputs;
+    int widest, use;
 };
 
-// Blocks [first, last) of a job; `scratch` holds what one thread needs.
+// Blocks [first, last) of a job.
 void work(const Job &job, uint32_t first, uint32_t last) {
     const Network &net = *job.net;
-    const int in = net.columns, out = job.outputs;
-    const size_t floats = size_t(in + net.encoded + 2 * job.widest + out) * BLOCK;
+    const int in = net.columns + extra_columns(job.use);
+    const int numbers = net.layer[net.layers - 1].outputs, out = result_columns(job.use, numbers);
+    const size_t floats = size_t(in + net.encoded + 2 * job.widest + numbers + out) * BLOCK;
     float *scratch = new float[floats + 16];
-    float *aligned = scratch + ((64 - (reinterpret_cast<uintptr_t>(scratch) & 63)) & 63) / 4;
-    float *copied = aligned, *encoded = copied + in * BLOCK, *hidden = encoded + net.encoded * BLOCK;
-    float *kept = hidden + 2 * job.widest * BLOCK;
+    float *copied = scratch + ((64 - (reinterpret_cast<uintptr_t>(scratch) & 63)) & 63) / 4;
+    float *encoded = copied + in * BLOCK, *hidden = encoded + net.encoded * BLOCK;
+    float *raw_out = hidden + 2 * job.widest * BLOCK, *kept = raw_out + numbers * BLOCK;
     const float *x[4096], *raw[4096];
-    float *y[4096];
+    float *y[4096], *to[4096];
     for (int i = 0; i < in; i++)
         if (!job.wide[i])
             for (int row = 0; row < BLOCK; row++) copied[i * BLOCK + row] = job.in[i][0];
@@ -254,18 +423,22 @@ void work(const Job &job, uint32_t first, uint32_t last) {
             }
         }
         if (net.plain) {
-            for (int i = 0; i < in; i++) x[i] = raw[i];
+            for (int i = 0; i < net.columns; i++) x[i] = raw[i];
         } else {
             encode(net, raw, encoded);
             for (int i = 0; i < net.encoded; i++) x[i] = encoded + i * BLOCK;
         }
-        for (int j = 0; j < out; j++) y[j] = count < BLOCK ? kept + j * BLOCK : job.out[j] + start;
+        for (int j = 0; j < out; j++) to[j] = count < BLOCK ? kept + j * BLOCK : job.out[j] + start;
+        for (int j = 0; j < numbers; j++)
+            y[j] = job.use == OUTPUTS_THEMSELVES ? to[j] : raw_out + j * BLOCK;
         if (net.activation == SILU)
             layers<SILU>(net, x, y, hidden, job.widest);
         else
             layers<RELU>(net, x, y, hidden, job.widest);
+        if (job.use != OUTPUTS_THEMSELVES)
+            splines(job.use, raw_out, (numbers + 1) / 3, raw + net.columns, to);
         if (count < BLOCK)
-            for (int j = 0; j < out; j++) memcpy(job.out[j] + start, y[j], count * sizeof(float));
+            for (int j = 0; j < out; j++) memcpy(job.out[j] + start, to[j], count * sizeof(float));
     }
     delete[] scratch;
 }
@@ -325,13 +498,13 @@ void harness_pack(const float *weights, int32_t inputs, int32_t outputs, float *
     }
 }
 
-// The network over `rows` rows; `submit` and `wait` are the thread pool's (null: in this thread).
+// The network over `rows` rows, and what its outputs are used for; `submit` and `wait` are the thread pool's (null: in this thread).
 void harness_network(const Network *net, uint32_t rows, const float *const *in, const uint8_t *wide,
-                     float *const *out, Submit submit, Wait wait) {
+                     float *const *out, int32_t use, Submit submit, Wait wait) {
     int widest = 1;
     for (int i = 0; i + 1 < net->layers; i++)
         if (net->layer[i].outputs > widest) widest = net->layer[i].outputs;
-    Job job{net, rows, in, wide, out, nullptr, widest, net->layer[net->layers - 1].outputs};
+    Job job{net, rows, in, wide, out, widest, use};
     const uint32_t blocks = (rows + BLOCK - 1) / BLOCK, tasks = (blocks + CHUNK - 1) / CHUNK;
     if (!submit || tasks < 2) {
         work(job, 0, blocks);

@@ -46,7 +46,7 @@ SETS = (
         ("-DWIDTH=4", "-DPACKETS=4", "-DOUTPUTS=6"),
     ),
 )  # fmt: skip
-"""The fastest first. Fused multiply-adds are in all: without, results would be rounded otherwise."""
+"""The fastest first. All have fused multiply-adds: without, results would be rounded otherwise."""
 
 
 def wanted() -> str:
@@ -82,7 +82,7 @@ def chosen() -> InstructionSet | str:
                 return each
         has = ", ".join(each.name for each in here) or "none of them"
         raise InputError(
-            f"environment variable {VARIABLE} is '{name}', which this processor has not; it has {has}"
+            f"environment variable {VARIABLE} is '{name}', which this processor lacks; it has {has}"
         )
     if here:
         return here[0]
