@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import time
 from collections.abc import Sequence
 from typing import Any
 
@@ -10,13 +11,15 @@ import drjit as dr
 import numpy as np
 
 from harness.core.columns.bridge import Columns, Float
+from harness.core.compiled import history
 from harness.core.compiled.library import Library, found
 from harness.core.compiled.memory import addresses, empty
 from harness.nets.encoding import Encoded
 
 MOST = 4096
 """Columns, and neurons of a layer, that the kernel has room for."""
-_OUTPUTS, _WARP, _UNWARP, _DRAW = range(4)
+_OUTPUTS, _WARP, _UNWARP, _DRAW, _NOTHING = range(5)
+_USES = ("outputs", "warp", "unwarp", "draw", "nothing")
 _ACTIVATIONS = {"relu": 0, "leaky_relu": 0, "silu": 1}
 
 
@@ -82,6 +85,8 @@ class Packed:
             layer.weights, layer.biases = packed.ctypes.data, bias.ctypes.data
             self._kept += [packed, bias]
         self.outputs = pairs[-1][0].shape[0]
+        sizes = [pairs[0][0].shape[1], *(weight.shape[0] for weight, _ in pairs)]
+        self.name = f"network {'-'.join(map(str, sizes))} {activation}"
         self._encoding: tuple[tuple, Any] = (), None
 
     def __call__(self, x: Encoded) -> Columns:
@@ -117,16 +122,29 @@ class Packed:
             ctypes.addressof(inputs), ctypes.addressof(self.layers),
         )  # fmt: skip
         wide = (ctypes.c_uint8 * len(raw))(*(dr.width(column) != 1 for column in raw))
-        self.library.network(
-            ctypes.byref(network),
-            ctypes.c_uint32(rows),
-            _pointers(places[: len(raw)]),
-            wide,
-            _pointers(places[len(raw) :]),
-            ctypes.c_int32(use),
-            ctypes.c_void_p(self.library.submit),
-            ctypes.c_void_p(self.library.wait),
-        )
+        columns = _pointers(places[: len(raw)]), wide, _pointers(places[len(raw) :])
+
+        def run(use: int) -> None:
+            self.library.network(
+                ctypes.byref(network),
+                ctypes.c_uint32(rows),
+                *columns,
+                ctypes.c_int32(use),
+                ctypes.c_void_p(self.library.submit),
+                ctypes.c_void_p(self.library.wait),
+            )
+
+        start = time.perf_counter()
+        run(use)
+        if history.wanted():
+            seconds = time.perf_counter() - start
+            what = f"{self.name}, {_USES[use]}"
+            # The columns live as long as somebody may run it again.
+            history.add(
+                history.Run(
+                    what, rows, seconds, use != _OUTPUTS, lambda kept=(raw, inputs): run(_NOTHING)
+                )
+            )
         return out
 
     def _inputs(self, x: Encoded) -> ctypes.Array:

@@ -87,12 +87,21 @@ INLINE Floats exponential(Floats v) {
     return p * power_of_two(half) * power_of_two(k - half);
 }
 
-// Sine and cosine of |v| <= 2^24: quarter turns subtracted in three parts, then Taylor's series.
+// v less k quarter turns.
+INLINE Floats less_quarters(Floats v, Floats k) {
+    v = v - k * 1.57079637f;
+    v = v + k * 4.37113883e-8f;
+    return v + k * 1.71512489e-15f;
+}
+
+// Sine and cosine of |v| <= 2^24: quarter turns subtracted, then Taylor's series.
 INLINE void sine_and_cosine(Floats v, Floats &sine, Floats &cosine) {
-    Floats k = nearest(v * 0.636619772f);
-    Floats r = v - k * 1.57079637f;
-    r = r + k * 4.37113883e-8f;
-    r = r + k * 1.71512489e-15f;
+    // Far out the number of quarters is rounded, and one may be left or too many.
+    Floats many = __builtin_convertvector(__builtin_convertvector(v * 0.636619772f, Ints), Floats);
+    Floats r = less_quarters(v, many);
+    Floats few = nearest(r * 0.636619772f);
+    r = less_quarters(r, few);
+    Floats k = many + few;
     Ints turn = __builtin_convertvector(k, Ints);
     Floats q = r * r;
     Floats s = all(2.75573192e-6f);
@@ -360,13 +369,13 @@ __attribute__((noinline)) void unwarp(const float *numbers, int bins, const floa
     }
 }
 
-// What the network's outputs are used for.
-enum Use { OUTPUTS_THEMSELVES = 0, WARP = 1, UNWARP = 2, DRAW = 3 };
+// What the network's outputs are used for; NOTHING tells what the network alone takes.
+enum Use { OUTPUTS_THEMSELVES = 0, WARP = 1, UNWARP = 2, DRAW = 3, NOTHING = 4 };
 
 // Extra columns per use: the value; for DRAW also keep (1 or 0), what to keep, and the chord.
-INLINE int extra_columns(int use) { return use == OUTPUTS_THEMSELVES ? 0 : use == DRAW ? 4 : 1; }
+INLINE int extra_columns(int use) { return use == DRAW ? 4 : use == WARP || use == UNWARP ? 1 : 0; }
 INLINE int result_columns(int use, int outputs) {
-    return use == OUTPUTS_THEMSELVES ? outputs : use == DRAW ? 3 : use == WARP ? 2 : 1;
+    return use == OUTPUTS_THEMSELVES ? outputs : use == DRAW ? 3 : use == WARP ? 2 : use == UNWARP ? 1 : 0;
 }
 
 void splines(int use, const float *numbers, int bins, const float *const *extra, float *const *out) {
@@ -435,7 +444,7 @@ void work(const Job &job, uint32_t first, uint32_t last) {
             layers<SILU>(net, x, y, hidden, job.widest);
         else
             layers<RELU>(net, x, y, hidden, job.widest);
-        if (job.use != OUTPUTS_THEMSELVES)
+        if (job.use != OUTPUTS_THEMSELVES && job.use != NOTHING)
             splines(job.use, raw_out, (numbers + 1) / 3, raw + net.columns, to);
         if (count < BLOCK)
             for (int j = 0; j < out; j++) memcpy(job.out[j] + start, to[j], count * sizeof(float));
@@ -538,7 +547,5 @@ void harness_functions(const float *v, int32_t n, float *exponentials, float *si
         store(cosines + i, c);
     }
 }
-
-int32_t harness_width() { return WIDTH; }
 
 }

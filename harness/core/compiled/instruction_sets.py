@@ -65,6 +65,12 @@ def wanted() -> str:
     return found
 
 
+def available() -> list[InstructionSet]:
+    """Those that this processor has."""
+    machine = platform.machine().lower()
+    return [each for each in SETS if machine in each.machines and each.needs <= flags()]
+
+
 def chosen() -> InstructionSet | str:
     """The instruction set to use, or why there is none.
 
@@ -74,8 +80,7 @@ def chosen() -> InstructionSet | str:
     name = wanted()
     if name == "off":
         return f"switched off by {VARIABLE}=off"
-    machine = platform.machine().lower()
-    here = [s for s in SETS if machine in s.machines and s.needs <= flags()]
+    here = available()
     if name != "auto":
         for each in here:
             if each.name == name:
@@ -86,6 +91,7 @@ def chosen() -> InstructionSet | str:
         )
     if here:
         return here[0]
+    machine = platform.machine().lower()
     names = " or ".join(each.name for each in SETS if machine in each.machines)
     return f"this processor ({machine}) has not {names}" if names else f"not written for {machine}"
 

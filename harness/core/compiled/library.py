@@ -9,6 +9,7 @@ from functools import lru_cache
 from pathlib import Path
 
 import drjit as dr
+import numpy as np
 
 from harness.core.compiled import build
 from harness.core.compiled.instruction_sets import chosen
@@ -27,9 +28,15 @@ class Library:
     network: ctypes._CFuncPtr
     transpose: ctypes._CFuncPtr
     functions: ctypes._CFuncPtr
-    width: int
     submit: int | None
     wait: int | None
+
+    def elementary(self, v: np.ndarray) -> tuple[np.ndarray, ...]:
+        """Exponential, sine and cosine as the kernels have them; of float32 [a multiple of 64]."""
+        out = tuple(np.empty_like(v) for _ in range(3))
+        places = [ctypes.c_void_p(a.ctypes.data) for a in (v, *out)]
+        self.functions(places[0], ctypes.c_int32(v.size), *places[1:])
+        return out
 
 
 @lru_cache(maxsize=1)
@@ -44,22 +51,30 @@ def found() -> Library | str:
         return target
     start = time.perf_counter()
     try:
-        loaded = ctypes.CDLL(str(build.library(target)))
+        return opened(build.library(target), target.name, start)
     except build.BuildFailed as error:
         return str(error)
     except OSError as error:
         return f"the library does not load: {error}"
-    submit, wait = _pool()
+
+
+def opened(file: Path, name: str, start: float) -> Library:
+    """A compiled library; ``start`` is when its building began, by ``time.perf_counter``.
+
+    Raises:
+        OSError: it cannot be loaded.
+    """
+    loaded = ctypes.CDLL(str(file))
     for function in (loaded.harness_pack, loaded.harness_network, loaded.harness_transpose):
         function.restype = None
+    submit, wait = _pool()
     return Library(
-        name=target.name,
+        name=name,
         seconds=time.perf_counter() - start,
         pack=loaded.harness_pack,
         network=loaded.harness_network,
         transpose=loaded.harness_transpose,
         functions=loaded.harness_functions,
-        width=int(loaded.harness_width()),
         submit=submit,
         wait=wait,
     )
