@@ -16,6 +16,8 @@ from harness.core.compiled.instruction_sets import chosen
 
 FALLBACK = "drjit"
 """What runs the networks where there are no compiled kernels."""
+WITHOUT = "networks take two to three times as long on the CPU"
+"""What that means."""
 
 
 @dataclass(frozen=True)
