@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from typing import Any
+from typing import Any, ClassVar
 
 import torch
 from torch import Tensor
@@ -19,6 +19,10 @@ class ColumnMethod(Method):
     protocol are bridged to them, and a renderer that already has columns calls them
     directly, without leaving Dr.Jit.
     """
+
+    in_one_kernel: ClassVar[bool] = False
+    """Whether it runs well as part of a renderer's own kernel: without a network, whose
+    activations would go through the stack there."""
 
     @abstractmethod
     def sample_columns(self, c: Columns, u: Columns) -> tuple[Float, Float, Float]:
