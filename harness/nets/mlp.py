@@ -17,6 +17,7 @@ from harness.core.protocol import counting
 from harness.nets import activations
 from harness.nets.compiled_network import Packed, usable
 from harness.nets.encoding import Encoded
+from harness.nets.looped import LoopedMatrix
 
 
 class MLP(nn.Module):
@@ -55,7 +56,7 @@ class MLP(nn.Module):
 
         By the compiled kernels where :func:`harness.nets.compiled_network.usable` has them;
         everything before and after is then a Dr.Jit kernel of its own. Otherwise by cooperative
-        vectors, or on a GPU written out, as part of one kernel.
+        vectors, or on a GPU by loops, as part of one kernel.
         """
         x = x if isinstance(x, Encoded) else Encoded.plain(x)
         if counting.wanted():
@@ -64,7 +65,7 @@ class MLP(nn.Module):
             return self.compiled(library)(x)
         inputs = x.inputs
         if dr.backend_v(inputs[-1]) == dr.JitBackend.CUDA:
-            return self._columns_scalar(inputs)
+            return self._columns_looped(inputs)
         weights, biases = self.packed(type(inputs[-1]))
         v = drjit.nn.CoopVec(*inputs)
         for i, (w, b) in enumerate(zip(weights, biases, strict=True)):
@@ -73,22 +74,23 @@ class MLP(nn.Module):
                 v = drjit.nn.CoopVec(*activations.value_columns(self.activation, list(v)))
         return list(v)
 
-    def _columns_scalar(self, x: Columns) -> Columns:
-        """Multiply-adds written out: 32-bit cooperative vectors do not exist on CUDA."""
-        array: type[Float] = type(x[-1])
-        for i, layer in enumerate(self.layers):
-            w = array(layer.weight.detach().float().reshape(-1).contiguous())
-            b = array(layer.bias.detach().float().contiguous())
-            out = []
-            for row in range(layer.out_features):
-                s = dr.gather(array, b, row)
-                for k, value in enumerate(x):
-                    s = dr.fma(dr.gather(array, w, row * layer.in_features + k), value, s)
-                out.append(s)
-            if i < len(self.layers) - 1:
-                out = activations.value_columns(self.activation, out)
-            x = out
+    def _columns_looped(self, x: Columns) -> Columns:
+        """As loops: 32-bit cooperative vectors do not exist on CUDA."""
+        matrices = self.looped(type(x[-1]))
+        for i, matrix in enumerate(matrices):
+            x = matrix(x)
+            if i < len(matrices) - 1:
+                x = activations.value_columns(self.activation, x)
         return x
+
+    def looped(self, array: type[Float]) -> list[LoopedMatrix]:
+        """The layers for a back end without cooperative vectors."""
+
+        def make(numbers: list[np.ndarray]) -> list[LoopedMatrix]:
+            pairs = zip(numbers[0::2], numbers[1::2], strict=True)
+            return [LoopedMatrix(array, weight, bias) for weight, bias in pairs]
+
+        return self._kept(f"looped {array.__module__}", make)
 
     def packed(self, array: type[Float]) -> tuple[list, list]:
         """Weights and biases as packed matrix views."""
