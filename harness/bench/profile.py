@@ -77,7 +77,7 @@ def measure(method: ColumnMethod, condition: Tensor, u: Tensor, rounds: int) -> 
             [
                 whole,
                 _seconds(lambda: (columns_of(condition), columns_of(u))),
-                _seconds(lambda outputs=outputs: tensor_of(*outputs, rows=rows)),
+                _seconds(lambda outputs=outputs: tensor_of(*outputs, rows=rows, by_columns=True)),
                 network,
                 spline,
                 _in_kernels(lambda: method.sample(condition, u)),

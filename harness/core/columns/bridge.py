@@ -38,13 +38,16 @@ def columns_of(rows: Tensor) -> Columns:
     return [array(rows[:, i].contiguous()) for i in range(rows.shape[1])]
 
 
-def tensor_of(*columns: Float, rows: int) -> Tensor:
+def tensor_of(*columns: Float, rows: int, by_columns: bool = False) -> Tensor:
     """Arrays as one tensor, [rows, len(columns)], or [rows] for a single array.
 
-    Stored column by column: :func:`columns_of` of it copies nothing.
+    ``by_columns`` stores it column by column, which is quicker, and :func:`columns_of` of it copies
+    nothing; ``view`` may then refuse.
     """
     dr.eval(columns)
     dr.sync_thread()
     # clone: an output may be an input's own memory, and the caller owns what it gets.
     tensors = [c.torch().expand(rows) for c in columns]
-    return tensors[0].clone() if len(tensors) == 1 else torch.stack(tensors).T
+    if len(tensors) == 1:
+        return tensors[0].clone()
+    return torch.stack(tensors).T if by_columns else torch.stack(tensors, -1)

@@ -46,7 +46,7 @@ class ColumnMethod(Method):
             return DiskSample(condition.new_empty(0, 2), condition.new_empty(0))
         with torch.no_grad():
             x, y, pdf = self.sample_columns(columns_of(condition), columns_of(u))
-            packed = tensor_of(x, y, pdf, rows=n)
+            packed = tensor_of(x, y, pdf, rows=n, by_columns=True)
         return DiskSample(packed[:, :2], packed[:, 2])
 
     def sample_weighted(self, condition: Tensor, u: Tensor) -> WeightedSample:
