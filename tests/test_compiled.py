@@ -17,7 +17,7 @@ from harness.core.compiled.transpose import transposed
 from harness.core.protocol.errors import InputError
 from harness.nets import spline
 from harness.nets.activations import ACTIVATIONS
-from harness.nets.compiled_network import usable
+from harness.nets.compiled_network import MOST, MOST_BINS, usable
 from harness.nets.coupling import CouplingNet
 from harness.nets.encoding import ConditionEncoder, Encoded
 from harness.nets.mlp import MLP
@@ -103,7 +103,7 @@ def test_the_same_bits_as_cooperative_vectors(switched):
     network, x = net([30, 32, 32, 5], "leaky_relu"), rand(1000, 30)
     found = tensor_of(*network.columns(columns_of(x)), rows=1000)
     switched("off")
-    assert usable(Encoded.plain(columns_of(x))) is None
+    assert usable(Encoded.plain(columns_of(x)), widths=network.widths) is None
     assert torch.equal(tensor_of(*network.columns(columns_of(x)), rows=1000), found)
 
 
@@ -199,6 +199,14 @@ def test_no_kernel_where_columns_have_no_values_or_derivatives_are_wanted():
         dr.eval(total)
     assert not runs
     assert dr.any(dr.grad(at[0]) != 0)
+
+
+@needs_compiler
+def test_a_network_too_wide_for_the_kernel_is_dr_jits():
+    columns = columns_of(rand(20, 3))
+    for widths, there in (((3, MOST, 1), True), ((3, MOST + 1, 1), False)):
+        assert (usable(Encoded.plain(columns), widths=widths) is not None) is there
+    assert usable(Encoded.plain(columns), widths=(3, 8, 2), bins=MOST_BINS + 1) is None
 
 
 @pytest.mark.parametrize("rows", [1, 2, 15, 16, 17, 4097])

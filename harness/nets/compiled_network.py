@@ -16,8 +16,8 @@ from harness.core.compiled.library import Library, found
 from harness.core.compiled.memory import addresses, empty
 from harness.nets.encoding import Encoded
 
-MOST = 4096
-"""Columns, and neurons of a layer, that the kernel has room for."""
+MOST, MOST_BINS = 4096, 512
+"""Columns, and neurons of a layer, that the kernel has room for; bins of a spline."""
 _OUTPUTS, _WARP, _UNWARP, _DRAW, _NOTHING = range(5)
 _USES = ("outputs", "warp", "unwarp", "draw", "nothing")
 _ACTIVATIONS = {"relu": 0, "leaky_relu": 0, "silu": 1}
@@ -46,13 +46,15 @@ class _Network(ctypes.Structure):
     ]
 
 
-def usable(x: Encoded, *others: Float) -> Library | None:
-    """The kernels, if they can run a network on these columns now.
+def usable(x: Encoded, *others: Float, widths: Sequence[int], bins: int = 0) -> Library | None:
+    """The kernels, if they can run a network of these ``widths`` on these columns now.
 
     Not inside of what Dr.Jit records to run later, where columns have no values yet; not for
     derivatives by the columns, which only Dr.Jit has; not on a GPU.
     """
     raw = [*x.raw, *others]
+    if max(len(raw), *widths) > MOST or bins > MOST_BINS:
+        return None
     if dr.backend_v(raw[-1]) != dr.JitBackend.LLVM or dr.flag(dr.JitFlag.SymbolicScope):
         return None
     if any(dr.grad_enabled(column) for column in raw):

@@ -53,7 +53,7 @@ class CouplingNet(nn.Module):
     def warp_columns(self, other: Float, encoded: Encoded, x: Float) -> tuple[Float, Float]:
         """``(y, dy/dx)`` by the spline that the outputs at ``other`` describe."""
         seen = self._seen(other, encoded)
-        if library := usable(seen, x):
+        if library := self._usable(seen, x):
             y, slope = self._compiled(library, seen, x).warp(seen, x)
             return y, slope
         return spline.warp_columns(self.mlp.columns(seen), x)
@@ -61,7 +61,7 @@ class CouplingNet(nn.Module):
     def unwarp_columns(self, other: Float, encoded: Encoded, y: Float) -> Float:
         """Its inverse."""
         seen = self._seen(other, encoded)
-        if library := usable(seen, y):
+        if library := self._usable(seen, y):
             return self._compiled(library, seen, y).unwarp(seen, y)[0]
         return spline.unwarp_columns(self.mlp.columns(seen), y)[0]
 
@@ -74,7 +74,7 @@ class CouplingNet(nn.Module):
         :meth:`warp_columns` has there.
         """
         seen = self._seen(other, encoded)
-        if library := usable(seen, y, kept, chord):
+        if library := self._usable(seen, y, kept, chord):
             place, y, slope = self._compiled(library, seen, y).draw(seen, y, keep, kept, chord)
             return place, y, slope
         numbers = self.mlp.columns(seen)
@@ -84,6 +84,10 @@ class CouplingNet(nn.Module):
 
     def _seen(self, coordinate: Float, encoded: Encoded) -> Encoded:
         return Encoded.waves([coordinate], self.frequencies) + encoded
+
+    def _usable(self, seen: Encoded, *values: Float) -> Library | None:
+        widths = self.mlp.widths
+        return usable(seen, *values, widths=widths, bins=(widths[-1] + 1) // 3)
 
     def _compiled(self, library: Library, seen: Encoded, value: Float) -> Packed:
         if counting.wanted():

@@ -38,6 +38,7 @@ class MLP(nn.Module):
         self.layers = nn.ModuleList(
             nn.Linear(a, b) for a, b in zip(widths[:-1], widths[1:], strict=True)
         )
+        self.widths = tuple(widths)
         self.activation, self.slope = activation, activations.SLOPES.get(activation)
         if zero_last:
             nn.init.zeros_(self.layers[-1].weight)
@@ -61,7 +62,7 @@ class MLP(nn.Module):
         x = x if isinstance(x, Encoded) else Encoded.plain(x)
         if counting.wanted():
             counting.add("network", max(dr.width(column) for column in x.raw))
-        if library := usable(x):
+        if library := usable(x, widths=self.widths):
             return self.compiled(library)(x)
         inputs = x.inputs
         if dr.backend_v(inputs[-1]) == dr.JitBackend.CUDA:
@@ -126,6 +127,7 @@ class MLP(nn.Module):
         import copy
 
         clone.layers = copy.deepcopy(self.layers, memo)
+        clone.widths = self.widths
         clone.activation, clone.slope, clone._packed = self.activation, self.slope, (b"", {})
         return clone
 
