@@ -1,9 +1,9 @@
 """``python -m harness.bench.kernels``: networks over columns beside a matrix product.
 
 One line a network: GFLOP/s (multiplications and additions of the layers) of the compiled kernels,
-of Dr.Jit's cooperative vectors and of PyTorch on rows in chunks of 16,384, also as a share of that of a
-square matrix product. One thread; the processor's clock, which other work on the machine
-lengthens less than the clock of the wall; shares are medians over interleaved rounds.
+of Dr.Jit's cooperative vectors and of PyTorch on rows in chunks of 16,384, and in brackets their
+share of a square matrix product's. One thread; the clock of the processor, which other work on the
+machine lengthens less than that of the wall; shares are medians over interleaved rounds.
 """
 
 from __future__ import annotations
