@@ -144,12 +144,26 @@ def gpu() -> Finding:
 
 
 def compiler() -> Finding:
-    """A C++ compiler, which only ``torch.compile`` wants."""
+    """A C++ compiler, for the compiled kernels and ``torch.compile``."""
     for command in filter(None, (os.environ.get("CXX"), "c++", "g++", "clang++")):
         if path := shutil.which(command):
             return Finding("C++ compiler", path)
-    advice = "only for torch.compile; Debian, Ubuntu: apt-get install g++"
+    advice = "not needed, but networks run faster with one; Debian, Ubuntu: apt-get install g++"
     return Finding("C++ compiler", "none", NOTE, advice)
+
+
+def kernels() -> Finding:
+    """The compiled kernels of networks over columns; built if they can be."""
+    from harness.core.compiled import library
+    from harness.core.protocol.errors import InputError
+
+    try:
+        reason = library.why_not()
+    except InputError as error:
+        return Finding("Compiled kernels", str(error), NOTE)
+    if reason:
+        return Finding("Compiled kernels", f"none: {reason}", NOTE, library.WITHOUT)
+    return Finding("Compiled kernels", library.name())
 
 
 def cores() -> Finding:
@@ -189,6 +203,8 @@ def examine() -> tuple[list[Finding], bool]:
     needed = [python(), torch(), drjit(), mitsuba()]
     library = llvm()
     rows = [*needed, library, gpu(), compiler(), cores(), memory()]
+    if all(row.status == OK for row in needed):
+        rows.append(kernels())
     renders: list[Finding] = []
     if all(row.status == OK for row in needed):
         from harness.mitsuba_runtime.variant import VARIANTS

@@ -6,9 +6,10 @@ import atexit
 from functools import lru_cache
 from pathlib import Path
 
+from harness.core.cache_folder import cache_folder
 from harness.core.classes import named
 from harness.core.paths import METHODS, ROOT
-from harness.identity.cache import Cache, default_folder
+from harness.identity.cache import Cache
 from harness.identity.digests import Digests, Part
 from harness.identity.modules import CALLED
 from harness.identity.tree import Tree
@@ -55,7 +56,7 @@ def digest_of_class(file: Path, class_name: str) -> str:
 @lru_cache(maxsize=8)
 def digests(root: Path = ROOT, cached: bool = True) -> Digests:
     """Digests of the tree below ``root``, as it is when they are first asked for."""
-    cache = Cache(default_folder() if cached else None)
+    cache = Cache(cache_folder() if cached else None)
     atexit.register(cache.save)  # once: it is a file of megabytes
     folder = root / "harness"
     roots = {"harness": folder, CALLED: (folder / "_methods").resolve()}

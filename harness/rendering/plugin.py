@@ -66,6 +66,9 @@ class SampledBSDF(mi.BSDF):
         self.in_columns = isinstance(method, ColumnMethod)
         self.nested = material.mitsuba_bsdf()
         self.eval_in_columns = self.nested is None and material.renders_in_columns
+        self.symbolic = (
+            self.in_columns and self.nested is not None and not self.own_eval
+        ) and method.in_one_kernel
         self.both_sides = material.both_sides
         self.shared: Columns | None = None
         self.spread = 0.0
@@ -174,7 +177,7 @@ class SampledBSDF(mi.BSDF):
         return front, lambda d: mi.Vector3f(d.x, d.y, dr.select(behind, -d.z, d.z))
 
     def _untraceable(self) -> bool:
-        """Whether a symbolic call is being traced, for which this pair would have to run torch.
+        """Whether a symbolic call is being traced in which this pair takes no part.
 
         Dr.Jit traces a call through every BSDF alive, whether or not it is in the scene that
         is rendered. The harness renders such a scene in evaluated mode, so it is another's call;
@@ -182,8 +185,12 @@ class SampledBSDF(mi.BSDF):
         """
         evaluated = self.nested is not None or self.eval_in_columns
         in_dr_jit = self.in_columns and evaluated and not self.own_eval
-        if in_dr_jit or not dr.flag(dr.JitFlag.SymbolicScope):
+        if not dr.flag(dr.JitFlag.SymbolicScope):
             return False
+        if in_dr_jit:
+            # In a scene that the harness renders so there is no such one: a network would be
+            # compiled into the kernel for nothing.
+            return passes.rendering() and not self.symbolic
         if not passes.rendering():
             raise RuntimeError(
                 f"'{self.method.name}' on '{self.material.name}' runs in PyTorch, which cannot be"
