@@ -54,7 +54,7 @@ class Report:
         """
         # Figures take matplotlib, which printing tables does not.
         from harness.report.drawing import draw
-        from harness.report.page import Page, page
+        from harness.report.page.build import Page, page
 
         skipped = list(self.skipped)
         report = self.results.folder / "report"

@@ -7,14 +7,6 @@ from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from harness.report.table import Footnotes, Table
-
-
-def html(table: Table) -> str:
-    """A ``section`` element with heading, caption, the grids and their notes."""
-    template = _environment().get_template("table.html")
-    return str(template.make_module().whole(table))
-
 
 def render(template: str, **values: Any) -> str:
     """A template filled with ``values``; what is missing is an error, not an empty place."""
@@ -23,11 +15,9 @@ def render(template: str, **values: Any) -> str:
 
 @cache
 def _environment() -> Environment:
-    environment = Environment(
+    return Environment(
         loader=PackageLoader("harness.report", "templates"),
         autoescape=True,
         undefined=StrictUndefined,
         keep_trailing_newline=True,
     )
-    environment.globals["footnotes"] = Footnotes.of
-    return environment

@@ -1,0 +1,128 @@
+"""The page: one file of plain data, a template, style and scripts; nothing from elsewhere."""
+
+from __future__ import annotations
+
+import base64
+import zlib
+from dataclasses import dataclass
+from functools import cache
+from importlib import resources
+from typing import TYPE_CHECKING, Any
+
+from harness.analysis.results import Results
+from harness.report.formats.html import render
+from harness.report.page.advice import advice
+from harness.report.page.answer import answer
+from harness.report.page.cells import plain_table
+from harness.report.page.circumstances import circumstances, facts
+from harness.report.page.names import Names
+from harness.report.page.pictures import pictures, sizes
+from harness.report.page.plain import script_json
+from harness.report.page.plots import charts, convergence, densities
+from harness.report.page.trials import command, trials
+from harness.report.table import Table
+
+if TYPE_CHECKING:
+    from harness.report.figures.canvas import Drawn
+
+SCRIPTS = (
+    "state.js", "elements.js", "unpack.js", "trial.js", "answer.js", "tables.js", "records.js",
+    "images.js", "pane.js", "viewer.js", "plot.js", "convergence.js", "pareto.js", "breakeven.js",
+    "densities.js", "main.js",
+)  # fmt: skip
+"""Scripts of the page in the order in which they run."""
+_FIGURES = 2_500_000
+"""Characters of print figures on a page; those beyond are linked."""
+
+
+@dataclass(frozen=True)
+class Page:
+    """What goes on the page; ``skipped`` are the things left out, with their reasons."""
+
+    results: Results
+    tables: list[Table]
+    figures: list[Drawn]
+    skipped: list[str]
+
+
+def page(content: Page) -> str:
+    """The whole document. The same results give the same text."""
+    data, pixels = document(content)
+    plots = bool(data["convergence"] or data["charts"] or data["advice"]["cells"])
+    return render(
+        "page.html",
+        title=content.results.title,
+        facts=" · ".join(data["facts"]),
+        style=asset("page.css"),
+        scripts=[asset(name) for name in SCRIPTS],
+        data=script_json(data),
+        pixels=script_json(pixels),
+        plotly=plotly() if plots else "",
+    )
+
+
+def document(content: Page) -> tuple[dict[str, Any], list[dict[str, Any]]]:
+    """All that the page shows, as plain data; the pixels of its images apart."""
+    results = content.results
+    names = Names(results)
+    shown = pictures(results, names)
+    pixels = shown.pop("pixels")
+    data = {
+        "title": results.title,
+        "baseline": results.baseline,
+        "facts": facts(results),
+        "methods": names.looks(),
+        "materials": names.materials,
+        "scenes": names.scenes,
+        "measures": names.measures,
+        "answer": answer(results, content.tables),
+        "advice": advice(results, names),
+        "tables": [plain_table(table, names) for table in content.tables],
+        "trials": trials(results, names),
+        "command": command(results),
+        "suite": str(results.plan.get("suite") or results.folder.name),
+        "convergence": convergence(results, names),
+        "charts": charts(results, names),
+        "densities": densities(results, names),
+        "images": shown | {"sizes": list(sizes(shown))},
+        "figures": _figures(content.figures),
+        "skipped": content.skipped,
+        "circumstances": circumstances(results),
+    }
+    return data, pixels
+
+
+@cache
+def asset(name: str) -> str:
+    """A file of ``assets``, to be inlined."""
+    text = (resources.files("harness.report.page") / "assets" / name).read_text("utf-8")
+    if "</script" in text or "</style" in text:
+        raise ValueError(f"{name}: would end the element that it stands in")
+    return text
+
+
+@cache
+def plotly() -> str:
+    """Plotly's script, deflated and in base64: the page unpacks it when the first plot is seen."""
+    from plotly.offline import get_plotlyjs
+
+    return base64.b64encode(zlib.compress(get_plotlyjs().encode("utf-8"), 9)).decode("ascii")
+
+
+def _figures(drawn: list[Drawn]) -> list[dict[str, Any]]:
+    """Figures for print: their files' names, and the picture itself while there is room."""
+    made, size = [], 0
+    for figure in drawn:
+        entry = {
+            "title": figure.title,
+            "caption": figure.caption,
+            "files": [path.name for path in figure.files],
+            "width": figure.width,
+            "height": figure.height,
+        }
+        data = base64.b64encode(figure.png.read_bytes()).decode("ascii")
+        if size + len(data) <= _FIGURES:
+            size += len(data)
+            entry["png"] = data
+        made.append(entry)
+    return made
