@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -20,7 +21,7 @@ from harness.report.table import Table
 from harness.report.unplanned import planned_only
 
 if TYPE_CHECKING:
-    from harness.report.figures.canvas import Drawn
+    from harness.report.figures.canvas import Canvas, Drawn
 
 _LIST = "files.txt"
 _FORMATS = {"md": markdown, "csv": csv, "tex": latex}
@@ -53,8 +54,9 @@ class Report:
         left out and why.
         """
         # Figures take matplotlib, which printing tables does not.
-        from harness.report.drawing import draw
-        from harness.report.page.build import Page, page
+        from harness.report.figures.canvas import Canvas
+        from harness.report.page.build import PARTS, Page, page
+        from harness.report.workers import together
 
         skipped = list(self.skipped)
         report = self.results.folder / "report"
@@ -65,16 +67,24 @@ class Report:
                 written.append(report / f"{table.name}.{end}")
                 written[-1].write_text(form(table), encoding="utf-8")
         names = _names(self.results, "figures", parts("figures"))
+        shown = {f"page: {name}": partial(make, self.results) for name, make in PARTS.items()}
+        figures = {
+            f"figure {name}": partial(_figure, self.results, name, Canvas(report / "figures"))
+            for name in names
+        }
+        made = together(shown | figures, notify)
         drawn: list[Drawn] = []
-        for name, found in draw(self.results, names, report / "figures", notify).items():
+        for name in names:
+            found = made[f"figure {name}"]
             if not isinstance(found, str):
                 drawn += found
             elif self.results.wanted("figures") is not None:
                 skipped.append(f"figure {name}: {found}")
         written += [path for figure in drawn for path in figure.files]
         index = report / "index.html"
-        shown = Page(self.results, self.tables, drawn, skipped)
-        index.write_text(page(shown), encoding="utf-8")
+        content = Page(self.results, self.tables, drawn, skipped)
+        prepared = {name: made[f"page: {name}"] for name in PARTS}
+        index.write_text(page(content, prepared), encoding="utf-8")
         written.insert(0, index)
         for message in skipped:
             notify(f"left out: {message}")
@@ -88,6 +98,11 @@ class Report:
             print_table(table, console, said)
         for message in self.skipped:
             console.print(f"left out: {message}", style="dim", markup=False)
+
+
+def _figure(results: Results, name: str, canvas: Canvas) -> list[Drawn] | str:
+    found = parts("figures")[name].load()(results, canvas)
+    return found if isinstance(found, str) else canvas.drawn
 
 
 def _tables(results: Results) -> tuple[list[Table], list[str]]:

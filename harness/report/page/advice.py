@@ -20,9 +20,9 @@ SAMPLES = tuple(float(2**i * 1000**k) for k in (1, 2, 3) for i in range(10))
 _DIGITS = 4
 
 
-def advice(results: Results, names: Names) -> dict[str, Any]:
+def advice(results: Results) -> dict[str, Any]:
     """``cells`` by material and scene: at each stop the fastest method, and everyone's seconds."""
-    warnings = bias_warnings(results)
+    names, warnings = Names(results), bias_warnings(results)
     cells = []
     for scene in timed_scenes(results):
         for material in results.materials:
@@ -45,10 +45,16 @@ def advice(results: Results, names: Names) -> dict[str, Any]:
             cells.append(at)
     return {
         "samples": [int(n) for n in SAMPLES],
-        "said": [numbers.count(n) for n in SAMPLES],
+        "said": [_count(n) for n in SAMPLES],
         "reference": results.baseline,
         "cells": cells,
     }
+
+
+def _count(samples: float) -> str:
+    """``64 M``: stops are whole thousands, millions or billions."""
+    value, suffix = numbers.count(samples).split(" ")
+    return f"{float(value):g} {suffix}"
 
 
 def _cell(found: Costs, barred: dict[str, str], names: Names) -> dict[str, Any]:

@@ -38,7 +38,7 @@ class Contest:
 
 def answer(results: Results, tables: list[Table]) -> dict[str, Any]:
     """``sentences``, and ``means``: dot plots of the rows of means."""
-    contests = _contests(tables)
+    contests = _contests(tables, [scene for scene in results.frame["scene"].unique() if scene])
     sentences = [_stale(results)] if _stale(results) else []
     if contests:
         sentences += [_which(results, contests), _how_sure(contests), _training(results, contests)]
@@ -47,13 +47,16 @@ def answer(results: Results, tables: list[Table]) -> dict[str, Any]:
     return {"sentences": sentences, "means": [_dots(each) for each in _means(tables)]}
 
 
-def _contests(tables: list[Table]) -> list[Contest]:
+def _contests(tables: list[Table], scenes: list[str]) -> list[Contest]:
     """The rows that decide: of each scene of the first table that has any."""
     by_name = {table.name: table for table in tables}
     for name in _CONTESTS:
         if name not in by_name or not by_name[name].best:
             continue
-        sections = by_name[name].sections
+        # Not a paper's own numbers, which may stand below.
+        sections = [s for s in by_name[name].sections if s.title in ("", *scenes)]
+        if name == "pdf":
+            sections = by_name[name].sections
         found = [c for section in sections if (c := _contest(by_name[name], section)).ranked[1:]]
         if found:
             return found if name != "pdf" else found[:1]
@@ -108,11 +111,11 @@ def _how_sure(contests: list[Contest]) -> str:
         wins = sum(_winner(each, row) == first for row in rows)
         of = f", and it is first on {wins} of {len(rows)} materials" if len(rows) > 1 else ""
         sure = (
-            f"clear of the next, {second} with {number}"
+            f"{first} is clear of the next, {second} ({number})"
             if _apart(cell, other)
-            else f"not told apart from the next, {second} with {number}: their intervals overlap"
+            else f"the lead of {first} over {second} ({number}) is within their intervals"
         )
-        said.append(f"{_in(each, contests).strip()} {first} is {sure}{of}".strip())
+        said.append(f"{_in(each, contests).strip()} {sure}{of}".strip())
     text = "; ".join(said)
     return f"{text[0].upper()}{text[1:]}."
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import zlib
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cache
 from importlib import resources
@@ -45,9 +46,27 @@ class Page:
     skipped: list[str]
 
 
-def page(content: Page) -> str:
-    """The whole document. The same results give the same text."""
-    data, pixels = document(content)
+PARTS: dict[str, Callable[[Results], Any]] = {
+    "images": pictures,
+    "charts": charts,
+    "advice": advice,
+    "trials": trials,
+    "convergence": convergence,
+    "densities": densities,
+}
+"""What takes long, the longest first; each is made of the results alone."""
+
+
+def page(content: Page, prepared: Mapping[str, Any] | None = None) -> str:
+    """The whole document. The same results give the same text.
+
+    ``prepared`` are the :data:`PARTS`, where they are made already.
+    """
+    if prepared is None:
+        prepared = {name: make(content.results) for name, make in PARTS.items()}
+    images = dict(prepared["images"])
+    pixels = images.pop("pixels")
+    data = document(content) | prepared | {"images": images | {"sizes": list(sizes(images))}}
     plots = bool(data["convergence"] or data["charts"] or data["advice"]["cells"])
     return render(
         "page.html",
@@ -61,13 +80,11 @@ def page(content: Page) -> str:
     )
 
 
-def document(content: Page) -> tuple[dict[str, Any], list[dict[str, Any]]]:
-    """All that the page shows, as plain data; the pixels of its images apart."""
+def document(content: Page) -> dict[str, Any]:
+    """What the page shows beside its :data:`PARTS`, as plain data."""
     results = content.results
     names = Names(results)
-    shown = pictures(results, names)
-    pixels = shown.pop("pixels")
-    data = {
+    return {
         "title": results.title,
         "baseline": results.baseline,
         "facts": facts(results),
@@ -76,20 +93,13 @@ def document(content: Page) -> tuple[dict[str, Any], list[dict[str, Any]]]:
         "scenes": names.scenes,
         "measures": names.measures,
         "answer": answer(results, content.tables),
-        "advice": advice(results, names),
         "tables": [plain_table(table, names) for table in content.tables],
-        "trials": trials(results, names),
         "command": command(results),
         "suite": str(results.plan.get("suite") or results.folder.name),
-        "convergence": convergence(results, names),
-        "charts": charts(results, names),
-        "densities": densities(results, names),
-        "images": shown | {"sizes": list(sizes(shown))},
         "figures": _figures(content.figures),
         "skipped": content.skipped,
         "circumstances": circumstances(results),
     }
-    return data, pixels
 
 
 @cache

@@ -17,11 +17,11 @@ from numpy.typing import NDArray
 
 from harness.analysis.combine import Estimate
 from harness.analysis.results import Results
-from harness.measures.flip import exposures, flip
 from harness.report.figures.rendered import LUMINANCE, exposure
 from harness.report.formats.short import short
 from harness.report.page.names import Names
 from harness.report.page.plain import number, packed
+from harness.report.series.flip import flip
 from harness.report.series.shots import (
     MEASURE,
     Shot,
@@ -43,8 +43,9 @@ _STOPS = 20.0
 _QUALITY = 80
 
 
-def pictures(results: Results, names: Names) -> dict[str, Any]:
+def pictures(results: Results) -> dict[str, Any]:
     """``groups`` by scene and material, ``pixels`` the values that they name by place."""
+    names = Names(results)
     found = [
         (scene, material, made)
         for scene in results.scenes(MEASURE)
@@ -84,7 +85,6 @@ def _group(
     renders = {s.method.label: s.image for s in made if s.image is not None}
     first = next(iter(renders.values())) if right is None else right
     mask = next((shot.mask for shot in made if shot.mask is not None), None)
-    parameters = exposures(first)
     squares = telling_squares(list(renders.values()), first, mask) if right is not None else []
     return {
         "material": names.materials.index(material),
@@ -96,14 +96,14 @@ def _group(
         # The squares' error over this and the image's own mean square: a dim pixel divides less.
         "floor": number(0.01 * float(np.square(first @ LUMINANCE).mean())),
         "shots": [
-            _shot(shot, names, store, right if with_flip else None, parameters) for shot in made
+            _shot(shot, names, store, right if with_flip else None) for shot in made
         ],
         "squares": [_square(one, renders, right, first) for one in squares],
     }
 
 
 def _shot(
-    shot: Shot, names: Names, store: _Pixels, right: NDArray | None, parameters: dict[str, Any]
+    shot: Shot, names: Names, store: _Pixels, right: NDArray | None
 ) -> dict[str, Any]:
     made: dict[str, Any] = {"method": names.methods.index(shot.method.label)}
     if shot.trial:
@@ -115,7 +115,7 @@ def _shot(
         return made | {"why": shot.why}
     made["image"] = store.keep(shot.image)
     if right is not None:
-        mean, shown = flip(shot.image, right, parameters)
+        mean, shown = flip(shot.image, right)
         made["flip"] = store.keep_bytes(np.round(255 * np.clip(shown, 0, 1)).astype(np.uint8))
         made["flipMean"] = f"{mean:.3f}"
     return made

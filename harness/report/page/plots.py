@@ -21,9 +21,9 @@ _DRAWN = 300
 """Points of a density's samples that are shown."""
 
 
-def convergence(results: Results, names: Names) -> list[dict[str, Any]]:
+def convergence(results: Results) -> list[dict[str, Any]]:
     """A curve per trial; ``low`` and ``high`` are bands of the error."""
-    curves = []
+    names, curves = Names(results), []
     for key in results.trials("convergence"):
         labels, found = results.stored(key).labels, curve_of(results.arrays(key))
         mse = np.asarray(found["mse"], float)
@@ -46,9 +46,9 @@ def convergence(results: Results, names: Names) -> list[dict[str, Any]]:
     return curves
 
 
-def charts(results: Results, names: Names) -> list[dict[str, Any]]:
+def charts(results: Results) -> list[dict[str, Any]]:
     """Accuracy against time: a chart per pair of numbers and scene, with a panel per material."""
-    made = []
+    names, made = Names(results), []
     for chart in CHARTS:
         scenes = chart.scenes(results)
         for scene in scenes:
@@ -90,9 +90,10 @@ def _point(point: Point, names: Names) -> dict[str, Any]:
     return made
 
 
-def densities(results: Results, names: Names) -> dict[str, Any]:
+def densities(results: Results) -> dict[str, Any]:
     """Target and pdf of each method on a grid, the root of their share of the target's peak in
     8 bits; points of samples. ``left`` names the materials that had no room."""
+    names = Names(results)
     made: list[dict[str, Any]] = []
     left, size = [], 0
     for material in results.materials:

@@ -27,8 +27,9 @@ class _Shared:
         return self._places[text]
 
 
-def trials(results: Results, names: Names) -> dict[str, Any]:
+def trials(results: Results) -> dict[str, Any]:
     """``list`` has a trial each, in the plan's order; its short keys are told in docs/report.md."""
+    names = Names(results)
     shared, metrics, units = _Shared(), _Shared(), _Shared()
     rows: dict[str, list[dict[str, Any]]] = {}
     for row in results.frame.to_dict("records"):

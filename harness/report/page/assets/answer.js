@@ -74,9 +74,9 @@ function dotPlot(means) {
 }
 
 function gridLines(axis) {
-  return svg("svg", { class: "bar lines", height: 22 }, axis.ticks.map((v) => {
+  return svg("svg", { class: "lines", width: "100%", height: "100%" }, axis.ticks.map((v) => {
     const at = `${(100 * axis.place(v)).toFixed(2)}%`;
-    return svg("line", { x1: at, x2: at, y1: 0, y2: 22, class: v === 1 && axis.log ? "one" : "" });
+    return svg("line", { x1: at, x2: at, y1: 0, y2: "100%", class: v === 1 && axis.log ? "one" : "" });
   }));
 }
 
@@ -181,7 +181,7 @@ function setUpAdvice(place) {
     if (key !== held.key) {
       held.key = key;
       refill(form, cellChoosers(), sampleSlider(),
-        checkbox("fits come with the harness", choice.shipped, (shipped) => choose({ shipped })));
+        checkbox("without the time of fitting", choice.shipped, (shipped) => choose({ shipped })));
     }
     const slider = form.querySelector("input[type=range]");
     slider.value = choice.stop;
@@ -212,14 +212,14 @@ function adviceLines() {
   lines.push(el("p", { class: "dim" }, `This holds ${range}. `, whereTheyDiffer()));
   const out = Object.entries(of.out);
   if (out.length) {
-    lines.push(el("details", {}, el("summary", {}, `${out.length} methods do not take part`),
+    lines.push(el("details", {}, el("summary", {}, out.length > 1 ? `${out.length} methods do not take part` : "One method does not take part"),
       el("ul", {}, out.map(([label, why]) => el("li", {}, `${label}: ${why}`)))));
   }
   return lines;
 }
 
 function percent(share) {
-  return share > 0.995 ? "over 99%" : `${Math.round(100 * share)}%`;
+  return share > 0.99 ? "over 99%" : `${Math.round(100 * share)}%`;
 }
 
 /** From which to which number of samples the same method is the fastest. */

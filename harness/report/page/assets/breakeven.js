@@ -8,7 +8,7 @@ function setUpBreakeven(place) {
     title: "Break-even",
     caption: `Load, fit and samples until the error that so many samples of ${report.advice.reference} reach, over all pixels; bands are 95% intervals. Where two lines cross, the costlier start has paid for itself. The slider is that of the answer.`,
     controls: () => [cellChoosers(), sampleSlider(),
-      checkbox("fits come with the harness", choice.shipped, (shipped) => choose({ shipped })),
+      checkbox("without the time of fitting", choice.shipped, (shipped) => choose({ shipped })),
       methodKeys(linesHere().map((line) => line.method))],
     key: () => [cellKey(), choice.shipped],
     plots: [totalTimes],
@@ -49,7 +49,8 @@ function totalTimes() {
   }
   const cell = adviceAt();
   return { traces, empty: (cell && cell.why) || "No total times hold here.",
-    layout: { xaxis: axisOf(`samples of ${report.advice.reference}`), yaxis: axisOf("seconds"), shapes: [stopLine()] } };
+    layout: { xaxis: axisOf(`samples of ${report.advice.reference}`, x),
+      yaxis: axisOf("seconds", seen.flatMap((line) => line.seconds.map((s) => num(s[0])))), shapes: [stopLine()] } };
 }
 
 /** Everyone's total at the slider, the fastest first. */

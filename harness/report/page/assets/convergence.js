@@ -39,7 +39,8 @@ function errorAgainst(curves, x, title) {
   }
   if (seen.length) traces.push(slopeLine(seen, x));
   return { traces, empty: "No convergence was measured here.",
-    layout: { xaxis: axisOf(title), yaxis: axisOf("mean squared error") } };
+    layout: { xaxis: axisOf(title, seen.flatMap((curve) => curve[x].map(num))),
+      yaxis: axisOf("mean squared error", values) } };
 }
 
 /** A line of slope −1 through the middle of the curves. */

@@ -21,7 +21,7 @@ function filled(element, attributes, children) {
       element.setAttribute(name, value === true ? "" : value);
     }
   }
-  element.append(...children.flat().filter((child) => child !== null && child !== undefined));
+  element.append(...children.flat(Infinity).filter((child) => child !== null && child !== undefined));
   return element;
 }
 
@@ -30,7 +30,7 @@ const FOCUSABLE = "button, input, select, summary, a, [tabindex]";
 /** Replace what is in `place`; the focus stays with the element of the same position. */
 function refill(place, ...children) {
   const at = [...place.querySelectorAll(FOCUSABLE)].indexOf(document.activeElement);
-  place.replaceChildren(...children.flat().filter(Boolean));
+  place.replaceChildren(...children.flat(Infinity).filter(Boolean));
   if (at < 0) return;
   const now = place.querySelectorAll(FOCUSABLE)[at];
   if (now) now.focus({ preventScroll: true });

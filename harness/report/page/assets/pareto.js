@@ -50,7 +50,7 @@ function frontPlot(chart, panel) {
     traces.push({ x: [Math.min(...xs), Math.max(...xs)], y: ys, name, mode: "lines", line: { ...lineOf(level.method), width: 1, dash: "dot" },
       hovertemplate: `${escaped(name)}: nothing to fit<extra></extra>` });
   }
-  return { traces, layout: { xaxis: axisOf(chart.x), yaxis: axisOf(chart.y), margin: { l: 60, r: 40, t: 24, b: 48 } } };
+  return { traces, layout: { xaxis: axisOf(chart.x, seen.map((p) => num(p.x.v))), yaxis: axisOf(chart.y, seen.map((p) => num(p.y.v))), margin: { l: 60, r: 40, t: 24, b: 48 } } };
 }
 
 function ends(found, least) {

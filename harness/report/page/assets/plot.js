@@ -8,12 +8,16 @@ function pageColours() {
   return { ink: read("--ink"), dim: read("--dim"), line: read("--line"), paper: read("--paper") };
 }
 
-function axisOf(title, more = {}) {
+/** A logarithmic axis that holds `values` with some room; intervals may leave it. */
+function axisOf(title, values) {
   const colours = pageColours();
-  return { title: { text: title, font: { size: 13 } }, type: "log", gridcolor: colours.line,
-    linecolor: colours.dim, zeroline: false, ticks: "outside", tickcolor: colours.dim,
-    exponentformat: "power", minor: { ticks: "outside", ticklen: 3, tickcolor: colours.line },
-    dtick: undefined, automargin: true, ...more };
+  const known = values.filter((v) => v > 0 && Number.isFinite(v)).map(Math.log10);
+  const [low, high] = known.length ? [Math.min(...known), Math.max(...known)] : [0, 1];
+  const room = Math.max(0.08 * (high - low), 0.12);
+  return { title: { text: escaped(title), font: { size: 13 } }, type: "log", range: [low - room, high + room],
+    dtick: high - low > 1.4 ? 1 : "D2", gridcolor: colours.line, linecolor: colours.dim, zeroline: false,
+    ticks: "outside", tickcolor: colours.dim, exponentformat: "power", automargin: true,
+    minor: { dtick: "D1", ticks: "outside", ticklen: 3, tickcolor: colours.dim } };
 }
 
 /** A figure with a heading and controls; `series()` gives traces and layout, `key()` what they depend on. */
