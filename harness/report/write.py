@@ -21,7 +21,7 @@ from harness.report.table import Table
 from harness.report.unplanned import planned_only
 
 if TYPE_CHECKING:
-    from harness.report.figures.canvas import Canvas, Drawn
+    from harness.report.figures.canvas import Drawn
 
 _LIST = "files.txt"
 _FORMATS = {"md": markdown, "csv": csv, "tex": latex}
@@ -54,7 +54,7 @@ class Report:
         left out and why.
         """
         # Figures take matplotlib, which printing tables does not.
-        from harness.report.figures.canvas import Canvas
+        from harness.report import drawing
         from harness.report.page.build import PARTS, Page, page
         from harness.report.workers import together
 
@@ -67,15 +67,11 @@ class Report:
                 written.append(report / f"{table.name}.{end}")
                 written[-1].write_text(form(table), encoding="utf-8")
         names = _names(self.results, "figures", parts("figures"))
-        shown = {f"page: {name}": partial(make, self.results) for name, make in PARTS.items()}
-        figures = {
-            f"figure {name}": partial(_figure, self.results, name, Canvas(report / "figures"))
-            for name in names
-        }
-        made = together(shown | figures, notify)
+        pages = {f"page: {name}": partial(make, self.results) for name, make in PARTS.items()}
+        figures = drawing.tasks(self.results, names, report / "figures")
+        made = together(figures | pages, notify)
         drawn: list[Drawn] = []
-        for name in names:
-            found = made[f"figure {name}"]
+        for name, found in drawing.collected(made, names).items():
             if not isinstance(found, str):
                 drawn += found
             elif self.results.wanted("figures") is not None:
@@ -98,11 +94,6 @@ class Report:
             print_table(table, console, said)
         for message in self.skipped:
             console.print(f"left out: {message}", style="dim", markup=False)
-
-
-def _figure(results: Results, name: str, canvas: Canvas) -> list[Drawn] | str:
-    found = parts("figures")[name].load()(results, canvas)
-    return found if isinstance(found, str) else canvas.drawn
 
 
 def _tables(results: Results) -> tuple[list[Table], list[str]]:

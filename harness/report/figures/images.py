@@ -35,17 +35,15 @@ def images(results: Results, canvas: Canvas) -> list[Drawn] | str:
     """A figure per scene and material."""
     drawn = []
     with styled():
-        for scene in results.scenes(MEASURE):
-            for material in results.materials:
-                made = shots(results, material, scene)
-                if made:
-                    drawn.append(_figure(results, canvas, scene, material, made))
+        at = [(s, m) for s in results.scenes(MEASURE) for m in results.materials]
+        for scene, material in canvas.mine(at):
+            made = shots(results, material, scene)
+            if made:
+                drawn.append(_figure(results, canvas, scene, material, made))
     return drawn or f"no trial of the measure {MEASURE} stored an image"
 
 
-def _figure(
-    results: Results, canvas: Canvas, scene: str, material: str, made: list[Shot]
-) -> Drawn:
+def _figure(results: Results, canvas: Canvas, scene: str, material: str, made: list[Shot]) -> Drawn:
     renders = [shot.image for shot in made if shot.image is not None]
     true = truth(results, material, scene, made)
     first = renders[0] if true is None else true

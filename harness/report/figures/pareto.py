@@ -32,13 +32,11 @@ def pareto(results: Results, canvas: Canvas) -> list[Drawn] | str:
     """A figure per chart and scene; panels are materials, the geometric mean first."""
     drawn: list[Drawn] = []
     with styled():
-        for chart in CHARTS:
-            scenes = chart.scenes(results)
-            for scene in scenes:
-                found = panels_of(results, chart, scene)
-                if found:
-                    several = len(scenes) > 1
-                    drawn.append(_figure(results, canvas, chart, scene, found, several))
+        for chart, scene in canvas.mine((c, s) for c in CHARTS for s in c.scenes(results)):
+            found = panels_of(results, chart, scene)
+            if found:
+                several = len(chart.scenes(results)) > 1
+                drawn.append(_figure(results, canvas, chart, scene, found, several))
     return drawn or f"no trial gave both numbers of a chart ({', '.join(c.name for c in CHARTS)})"
 
 

@@ -95,16 +95,12 @@ def _group(
         "reference": None if right is None else store.keep(right),
         # The squares' error over this and the image's own mean square: a dim pixel divides less.
         "floor": number(0.01 * float(np.square(first @ LUMINANCE).mean())),
-        "shots": [
-            _shot(shot, names, store, right if with_flip else None) for shot in made
-        ],
+        "shots": [_shot(shot, names, store, right if with_flip else None) for shot in made],
         "squares": [_square(one, renders, right, first) for one in squares],
     }
 
 
-def _shot(
-    shot: Shot, names: Names, store: _Pixels, right: NDArray | None
-) -> dict[str, Any]:
+def _shot(shot: Shot, names: Names, store: _Pixels, right: NDArray | None) -> dict[str, Any]:
     made: dict[str, Any] = {"method": names.methods.index(shot.method.label)}
     if shot.trial:
         made["trial"] = names.trials[shot.trial]

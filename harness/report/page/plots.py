@@ -117,9 +117,7 @@ def densities(results: Results) -> dict[str, Any]:
     return {"materials": made, "left": left}
 
 
-def _density(
-    results: Results, names: Names, trial: str, peaks: list[float]
-) -> dict[str, Any]:
+def _density(results: Results, names: Names, trial: str, peaks: list[float]) -> dict[str, Any]:
     arrays = results.arrays(trial)
     kl, mse = divergences(arrays)
     made = {

@@ -18,9 +18,7 @@ def flip(image: NDArray, reference: NDArray) -> tuple[float, NDArray]:
 
     start = float(np.log2(exposure(reference)))
     # A measured material may send back less than nothing, and FLIP has no such light.
-    right, found = (
-        np.ascontiguousarray(np.maximum(x, 0), np.float32) for x in (reference, image)
-    )
+    right, found = (np.ascontiguousarray(np.maximum(x, 0), np.float32) for x in (reference, image))
     shown, mean, _ = flip_evaluator.evaluate(
         right,
         found,

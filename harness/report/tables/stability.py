@@ -31,10 +31,7 @@ def stability(results: Results) -> Table | str:
     sections = [
         Section(
             group,
-            [
-                Row(r.name, _cells(results, r), about=r.about, material=r.material)
-                for r in members
-            ],
+            [Row(r.name, _cells(results, r), about=r.about, material=r.material) for r in members],
         )
         for group, members in groups(rows).items()
     ]
