@@ -3,23 +3,19 @@
 from __future__ import annotations
 
 import base64
-import zlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import cache
-from importlib import resources
 from typing import TYPE_CHECKING, Any
 
 from harness.analysis.results import Results
-from harness.report.formats.html import render
 from harness.report.page.advice import advice
 from harness.report.page.answer import answer
 from harness.report.page.cells import plain_table
 from harness.report.page.circumstances import circumstances, facts
 from harness.report.page.names import Names
 from harness.report.page.pictures import pictures, sizes
-from harness.report.page.plain import script_json
 from harness.report.page.plots import charts, convergence, densities
+from harness.report.page.shell import whole
 from harness.report.page.trials import command, trials
 from harness.report.table import Table
 
@@ -68,16 +64,7 @@ def page(content: Page, prepared: Mapping[str, Any] | None = None) -> str:
     pixels = images.pop("pixels")
     data = document(content) | prepared | {"images": images | {"sizes": list(sizes(images))}}
     plots = bool(data["convergence"] or data["charts"] or data["advice"]["cells"])
-    return render(
-        "page.html",
-        title=content.results.title,
-        facts=" · ".join(data["facts"]),
-        style=asset("page.css"),
-        scripts=[asset(name) for name in SCRIPTS],
-        data=script_json(data),
-        pixels=script_json(pixels),
-        plotly=plotly() if plots else "",
-    )
+    return whole(content.results.title, data["facts"], SCRIPTS, data, pixels, plots)
 
 
 def document(content: Page) -> dict[str, Any]:
@@ -100,23 +87,6 @@ def document(content: Page) -> dict[str, Any]:
         "skipped": content.skipped,
         "circumstances": circumstances(results),
     }
-
-
-@cache
-def asset(name: str) -> str:
-    """A file of ``assets``, to be inlined."""
-    text = (resources.files("harness.report.page") / "assets" / name).read_text("utf-8")
-    if "</script" in text or "</style" in text:
-        raise ValueError(f"{name}: would end the element that it stands in")
-    return text
-
-
-@cache
-def plotly() -> str:
-    """Plotly's script, deflated and in base64: the page unpacks it when the first plot is seen."""
-    from plotly.offline import get_plotlyjs
-
-    return base64.b64encode(zlib.compress(get_plotlyjs().encode("utf-8"), 9)).decode("ascii")
 
 
 def _figures(drawn: list[Drawn]) -> list[dict[str, Any]]:

@@ -53,8 +53,3 @@ function slopeLine(curves, x) {
   return { x: at, y: at.map((v) => middle / v), mode: "lines", hoverinfo: "skip",
     line: { color: pageColours().dim, width: 1, dash: "dash" } };
 }
-
-/** Text for Plotly, which reads some markup in it. */
-function escaped(text) {
-  return text.replace(/&/g, "&amp;").replace(/</g, "&lt;").replace(/>/g, "&gt;").replace(/%\{/g, "%&#123;");
-}

@@ -41,11 +41,11 @@ function setUpCircumstances() {
     el("pre", { tabindex: 0 }, `${report.command}\nharness report results/${report.suite}`));
 }
 
+/** What has images; else the last scene, since an environment map tells more than constant light. */
 function firstChoice() {
   const group = report.images.groups[0];
-  if (choice.scene < 0) choice.scene = group ? group.scene : report.scenes.length ? 0 : -1;
-  // An environment map tells more of a sampler than constant light: the last scene of the suite.
-  if (!group && report.scenes.length) choice.scene = report.scenes.length - 1;
+  choice.material = group ? group.material : 0;
+  choice.scene = group ? group.scene : report.scenes.length - 1;
 }
 
 setUpTheme();

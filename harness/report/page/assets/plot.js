@@ -20,6 +20,11 @@ function axisOf(title, values) {
     minor: { dtick: "D1", ticks: "outside", ticklen: 3, tickcolor: colours.dim } };
 }
 
+/** Text for Plotly, which reads some markup in it. */
+function escaped(text) {
+  return text.replace(/&/g, "&amp;").replace(/</g, "&lt;").replace(/>/g, "&gt;").replace(/%\{/g, "%&#123;");
+}
+
 /** A figure with a heading and controls; `series()` gives traces and layout, `key()` what they depend on. */
 function plotFigure(place, { title, caption, controls, key, plots }) {
   const form = el("div", { class: "form" });

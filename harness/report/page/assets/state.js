@@ -26,12 +26,7 @@ function toggleHidden(kind, place) {
 }
 
 // What the answer, the images and the plots are about: one choice for all of them.
-const choice = {
-  material: Math.max(0, report.images.groups.length ? report.images.groups[0].material : 0),
-  scene: -1,
-  stop: 16,
-  shipped: false,
-};
+const choice = { material: 0, scene: -1, stop: 16, shipped: false };
 
 function choose(values) {
   Object.assign(choice, values);
