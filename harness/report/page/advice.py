@@ -18,6 +18,8 @@ from harness.report.page.plain import number
 SAMPLES = tuple(float(2**i * 1000**k) for k in (1, 2, 3) for i in range(10))
 """Stops of the slider: 1 k, 2 k, ... 512 G samples of the baseline over all pixels."""
 _DIGITS = 4
+_ENOUGH = 0.999
+"""Share of draws that have to be finite."""
 
 
 def advice(results: Results) -> dict[str, Any]:
@@ -93,15 +95,21 @@ def _best(totals: dict[str, NDArray], names: Names) -> dict[str, Any]:
         "seconds": _said_seconds(first),
     }
     if len(ranked) > 1:
-        margin = totals[ranked[1]] / first
-        low, high = np.percentile(margin[1:], [2.5, 97.5])
-        value, interval = numbers.with_interval(float(margin[0]), float(low), float(high))
-        made |= {
-            "next": names.methods.index(ranked[1]),
-            "margin": f"{value}× {interval}".strip(),
-            "tie": bool(low <= 1),
-        }
+        made["next"] = names.methods.index(ranked[1])
+        made |= _margin(first, totals[ranked[1]])
     return made
+
+
+def _margin(first: NDArray, second: NDArray) -> dict[str, Any]:
+    """How many times as long the second takes; a tie where that may be once."""
+    known = np.isfinite(first)
+    # Draws of a variance that is hardly known are infinite: without them nothing is covered.
+    if not known[0] or known[1:].mean() < _ENOUGH:
+        return {"margin": "not resolved", "tie": True}
+    margin = second[known] / first[known]
+    low, high = np.percentile(margin[1:], [2.5, 97.5])
+    value, interval = numbers.with_interval(float(margin[0]), float(low), float(high))
+    return {"margin": f"{value}× {interval}".strip(), "tie": bool(low <= 1)}
 
 
 def _said_seconds(total: NDArray) -> str:

@@ -199,7 +199,10 @@ def _without_contest(results: Results, tables: list[Table]) -> list[str]:
     """For suites that no single number decides: what their first table is about."""
     shown = [table for table in tables if table.name != "status"]
     if not shown:
-        return ["No trial of this suite has given a number yet."]
+        measured = [m for m in results.frame["measure"].unique() if results.trials(m)]
+        if not measured:
+            return ["No trial of this suite has given a number yet."]
+        return [f"This suite measures {', '.join(measured)}; its plots compare the methods."]
     counted = next((section for section in shown[0].sections if section.title == "all cases"), None)
     said = [f"{shown[0].title}: {shown[0].caption.partition('. ')[0].rstrip('.')}."]
     if counted:

@@ -8,7 +8,12 @@ function setUpAnswer() {
   const { means } = report.answer;
   const first = means.filter((one) => one.table === (means[0] && means[0].table));
   if (first.length) place.append(dotPlots(first));
-  if (report.advice.cells.some((cell) => cell.fitted)) setUpAdvice(place);
+  if (report.advice.cells.some((cell) => cell.fitted)) {
+    setUpAdvice(place);
+  } else if (report.advice.cells.length) {
+    place.append(el("p", { class: "warning" },
+      `No advice by number of samples: ${report.advice.cells[0].why || "no method has a time that holds"}.`));
+  }
   const others = means.filter((one) => !first.includes(one));
   if (others.length) {
     place.append(el("details", { class: "others" },
@@ -203,7 +208,8 @@ function adviceLines() {
     `: ${best.seconds} to the error of ${report.advice.said[choice.stop]} samples of ${report.advice.reference}.`)];
   if (best.next !== undefined) {
     const next = report.methods[best.next].label;
-    lines.push(el("p", {}, `The next, ${next}, takes ${best.margin} as long. `,
+    lines.push(el("p", {}, best.margin === "not resolved"
+      ? `How much longer the next, ${next}, takes is not resolved. ` : `The next, ${next}, takes ${best.margin} as long. `,
       best.tie ? `A tie: ${name} is the fastest of all in ${percent(best.surest)} of the draws.`
         : `${name} is the fastest of all in ${percent(best.surest)} of the draws from all intervals.`));
   }

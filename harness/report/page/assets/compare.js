@@ -23,13 +23,13 @@ function saidEntry(entry) {
 }
 
 function numbersTable(numbers, withWhy) {
-  const heads = ["measure", "metric", "method", "material", "scene", "seed", "first", "last", withWhy ? "why not" : "last / first"];
+  const heads = ["measure", "metric", "method", "material", "scene", "seed", withWhy ? "why not" : "last / first", "first", "last"];
   const state = { words: [], sort: -1, up: false };
   const body = el("tbody", {});
   const said = el("span", { class: "dim" });
   const cellsOf = (one) => [labelOf(one, "measure"), report.metrics[one[AT.metric]], labelOf(one, "method"),
-    labelOf(one, "material"), labelOf(one, "scene"), labelOf(one, "seed"), saidEntry(entryOf(one, 0)),
-    saidEntry(entryOf(one, -1)), withWhy ? report.reasons[one[AT.why]] : `${brief(one[AT.change])}×`];
+    labelOf(one, "material"), labelOf(one, "scene"), labelOf(one, "seed"),
+    withWhy ? report.reasons[one[AT.why]] : `${brief(one[AT.change])}×`, saidEntry(entryOf(one, 0)), saidEntry(entryOf(one, -1))];
   const rows = numbers.map((one) => ({ one, cells: cellsOf(one), size: Math.abs(Math.log(num(one[AT.change]))) || 0 }));
   const draw = () => {
     const seen = rows.filter((row) => state.words.every((word) => row.cells.join(" ").toLowerCase().includes(word)));
