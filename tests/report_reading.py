@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import io
+import json
 from html.parser import HTMLParser
 from pathlib import Path
+from typing import Any
 
 from rich.console import Console
 
@@ -31,6 +33,23 @@ def table_of(folder: Path, name: str) -> Table:
 def cell_of(table: Table, row: str, column: str, section: int = 0) -> Cell:
     rows = {r.label: r for r in table.sections[section].rows}
     return rows[row].cells[table.columns.index(column)]
+
+
+def page_data(text: str) -> dict[str, Any]:
+    """The plain data that a page shows."""
+
+    class Reader(HTMLParser):
+        found, inside = "", False
+
+        def handle_starttag(self, tag, attrs):
+            self.inside = tag == "script" and dict(attrs).get("id") == "data"
+
+        def handle_data(self, data):
+            self.found += data if self.inside else ""
+
+    reader = Reader()
+    reader.feed(text)
+    return json.loads(reader.found)
 
 
 class Balanced(HTMLParser):

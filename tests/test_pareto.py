@@ -22,6 +22,7 @@ from harness.analysis.results import Results
 from harness.report.figures.canvas import Canvas
 from harness.report.figures.knob_path import inserted
 from harness.report.figures.labels import Label, place
+from harness.report.series.pareto import panels as panels_of
 from harness.store.folder import ResultsFolder
 from tests import report_results
 from tests.report_results import Made
@@ -191,7 +192,7 @@ def test_three_figures(swept: Results, tmp_path: Path):
 
 def test_panels_are_what_is_recorded(swept: Results):
     chart = drawing.CHARTS[0]
-    panels = drawing._panels(swept, chart, "studio-sphere")
+    panels = panels_of(swept, chart, "studio-sphere")
     assert list(panels) == [drawing.ALL, "suede", "brushed-metal"]
     point = next(p for p in panels["suede"].points if p.label == "two-lobe lobes=4")
     assert point.y == swept.number("pdf", "chi2", "suede", "two-lobe lobes=4")
@@ -207,7 +208,7 @@ def test_panels_are_what_is_recorded(swept: Results):
 
 
 def test_what_is_not_fitted_is_no_point(swept: Results):
-    panel = drawing._panels(swept, drawing.CHARTS[2], "")["suede"]
+    panel = panels_of(swept, drawing.CHARTS[2], "")["suede"]
     assert {p.label for p in panel.levels} == {"cosine", "native"}
     assert not {"cosine", "native"} & {p.label for p in panel.points}
 

@@ -15,12 +15,11 @@ from rich.console import Console
 from harness.report import write as reports
 from harness.report.formats.console import print_table
 from harness.report.formats.csv import csv as as_csv
-from harness.report.formats.html import html
 from harness.report.formats.latex import escape as latex_escape
 from harness.report.formats.latex import latex
 from harness.report.formats.markdown import markdown
 from harness.report.table import Cell, Footnotes, Row, Section, Table
-from tests.report_reading import WEIRD, Balanced, printed, table_of
+from tests.report_reading import WEIRD, printed, table_of
 from tests.report_results import MATERIALS, METHODS, Made
 
 # --- formats -------------------------------------------------------------------------------------
@@ -84,12 +83,6 @@ def test_csv_has_all_digits_and_no_gap(failing: Path):
     assert (broken["value"], broken["note"]) == ("nan", "error: it_broke & burned: 50%")
     best = [r for r in rows if r["best"] == "yes"]
     assert best and all(float(r["ci_low"]) < float(r["value"]) for r in best if r["text"] != "1×")
-
-
-def test_html_is_balanced_and_escaped():
-    text = html(weird_table())
-    Balanced().feed(text)
-    assert "<i>$" not in text and "&lt;i&gt;$" in text
 
 
 def test_console_fits_any_width(tmp_path: Path):

@@ -14,6 +14,7 @@ from harness.report import write as reports
 from harness.report.parts import KINDS, names, parts
 from harness.runner.preflight import check_report
 from harness.suite.plan import Plan
+from tests.report_reading import page_data
 from tests.report_results import Made
 
 TABLE = '''
@@ -70,8 +71,9 @@ def test_one_file_adds_a_table_or_a_figure(tmp_path: Path):
     tables, _ = reports._tables(results)
     written = {path.name for path in reports.Report(results, tables, []).write()}
     assert {"how-many.md", "blank.png"} <= written
-    page = (folder / "report" / "index.html").read_text("utf-8")
-    assert "How many" in page and "figures/blank.png" in page
+    page = page_data((folder / "report" / "index.html").read_text("utf-8"))
+    assert "How many" in page["tables"][0]["title"]
+    assert "blank.png" in page["figures"][0]["files"]
 
 
 @pytest.mark.usefixtures("added")

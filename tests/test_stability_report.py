@@ -24,9 +24,10 @@ from harness.report import write as reports
 from harness.report.figures.canvas import Canvas
 from harness.report.figures.heatmap import _FACE
 from harness.report.formats.csv import csv as as_csv
-from harness.report.formats.html import html
 from harness.report.formats.latex import latex
 from harness.report.formats.markdown import markdown
+from harness.report.page.cells import plain_table
+from harness.report.page.names import Names
 from harness.report.parts import part
 from harness.report.table import Cell, Table
 from tests import report_results
@@ -185,11 +186,15 @@ def test_the_summary_counts_every_cell_once(folder: Path):
 
 def test_every_format_tells_them_apart(folder: Path):
     table = the_table(folder)
-    page = html(table)
+    page = plain_table(table, Names(Results.load(folder)))
+    cells = [cell for part in page["sections"] for row in part["rows"] for cell in row["cells"]]
     for shade, count in (("pass", 10), ("degraded", 3), ("fail", 2)):
         summary = sum(bool(c.shade == shade) for r in table.sections[0].rows for c in r.cells)
-        assert page.count(f'<td class="{shade}">') == count + summary
-    assert '<th scope="row" title="what &lt;grazing&gt; is">grazing</th>' in page
+        assert sum(cell.get("shade") == shade for cell in cells) == count + summary
+    rows = {row["label"]: row for part in page["sections"] for row in part["rows"]}
+    assert rows["grazing"]["about"] == "what <grazing> is"
+    # A case opens the trial of its material and method.
+    assert all(cell["k"] for cell in rows["grazing"]["cells"] if "t" in cell)
     assert "FAIL ‡" in markdown(table)
     assert r"FAIL$^{\ddagger" in latex(table) and "†" not in latex(table)
     rows = list(csv.DictReader(io.StringIO(as_csv(table))))

@@ -57,8 +57,12 @@ def standings(points: Sequence[tuple[Estimate, Estimate]]) -> list[Standing]:
 
 def _dominated(at: NDArray) -> NDArray:
     """Whether another point is no worse on both axes and better on one, [D, N, 2] -> [D, N]."""
-    other, own = at[:, :, None], at[:, None]
-    return ((other <= own).all(-1) & (other < own).any(-1)).any(1)
+    x, y = at[..., 0], at[..., 1]
+    found = np.zeros(x.shape, bool)
+    for other in range(x.shape[1]):
+        ox, oy = x[:, other, None], y[:, other, None]
+        found |= (ox <= x) & (oy <= y) & ((ox < x) | (oy < y))
+    return found
 
 
 def _drawn(points: Sequence[tuple[Estimate, Estimate]]) -> NDArray:

@@ -52,7 +52,11 @@ def status(folder: Path) -> Status:
     Raises:
         InputError: no results there, or of another format.
     """
-    results = Results.load(folder)
+    return counted(folder, Results.load(folder))
+
+
+def counted(folder: Path, results: Results) -> Status:
+    """As :func:`status`, of results that are loaded already."""
     found = Status(folder, str(results.plan.get("suite") or folder.name))
     here = machine.identity(str(results.plan.get("device") or "cpu"))
     rows = results.frame.drop_duplicates("trial").set_index("trial")

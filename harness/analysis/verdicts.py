@@ -49,6 +49,7 @@ class CaseRow:
     group: str
     about: str
     entries: list[Entry]
+    material: str = ""
 
 
 def case_rows(results: Results) -> list[CaseRow]:
@@ -74,12 +75,13 @@ def case_rows(results: Results) -> list[CaseRow]:
                 _worst(results, case["material"], m.label, found.get((case["case"], m.label), []))
                 for m in results.methods
             ],
+            case["material"],
         )
         for case in sorted(known.values(), key=lambda case: case["position"])
     ]
     for material in unknown:
         entries = [_worst(results, material, m.label, []) for m in results.methods]
-        rows.append(CaseRow(material, _NOWHERE, "", entries))
+        rows.append(CaseRow(material, _NOWHERE, "", entries, material))
     return rows
 
 

@@ -14,15 +14,37 @@ def register(app: typer.Typer) -> None:
     @app.command()
     def compare(
         run: Annotated[Path, typer.Argument(help="A folder that harness run wrote.")],
-        again: Annotated[Path, typer.Argument(help="One of another run (harness run --out).")],
+        again: Annotated[
+            list[Path],
+            typer.Argument(help="One of another run; with --html, more of them for a history."),
+        ],
         metric: Annotated[
             list[str] | None, typer.Option(help="Only this metric; may be given again.")
         ] = None,
+        html: Annotated[
+            bool, typer.Option("--html", help="Write a page: what moved, what cannot be compared.")
+        ] = False,
+        out: Annotated[Path, typer.Option(help="The page's file.")] = Path("comparison.html"),
     ) -> None:
         """Say how many intervals of two runs overlap, and how wide they are."""
         from harness.analysis.compare import compare as compared
+        from harness.core.protocol.errors import InputError
 
-        found, left_out = compared(run, again, tuple(metric or ()))
+        if html:
+            if metric:
+                raise InputError("--metric: not with --html, whose page can be filtered")
+            from harness.report.page.comparison import comparison
+
+            text = comparison([run, *again])
+            try:
+                out.write_text(text, encoding="utf-8")
+            except OSError as error:
+                raise InputError(f"--out {out}: cannot be written: {error.strerror}") from error
+            typer.echo(str(out))
+            return
+        if len(again) > 1:
+            raise InputError(f"{again[1]}: two runs are compared; a history of more takes --html")
+        found, left_out = compared(run, again[0], tuple(metric or ()))
         for agreement in found:
             for line in agreement.lines():
                 print(line)

@@ -1,7 +1,8 @@
-"""``harness report RESULTS_DIR``: tables, figures and html, from stored results only."""
+"""``harness report RESULTS_DIR``: tables, figures and the page, from stored results only."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated
 
@@ -13,19 +14,58 @@ def register(app: typer.Typer) -> None:
 
     @app.command()
     def report(
-        results_dir: Annotated[Path, typer.Argument(help="A folder that harness run wrote.")],
+        results_dir: Annotated[
+            Path, typer.Argument(help="A folder that harness run wrote, or one of several such.")
+        ],
+        open_it: Annotated[
+            bool, typer.Option("--open", help="Show the page in the browser.")
+        ] = False,
     ) -> None:
-        """Make tables and figures again from what is stored; nothing is computed."""
+        """Make tables and figures again from what is stored; nothing is computed.
+
+        Of a folder of several results, an index over them, and their own pages where these are
+        missing or older than the results.
+        """
         from harness.core.protocol.errors import InputError, nearest
         from harness.core.terminal import Screen
-        from harness.report import write as reports
+        from harness.store.database import FILE, OLD_PLAN
 
         if not results_dir.is_dir():
             beside = [p.parent.name for p in results_dir.parent.glob("*/results.sqlite")]
             raise InputError(f"no such folder: {results_dir}{nearest(results_dir.name, beside)}")
         console = Screen(highlight=False)
-        loaded = reports.load(results_dir)
-        files = loaded.write(lambda text: console.print(text, soft_wrap=True))
-        loaded.print(console)
-        for file in files:
-            console.print(str(file), soft_wrap=True)
+
+        def say(text: str) -> None:
+            console.print(text, soft_wrap=True, markup=False)
+
+        one = any((results_dir / name).is_file() for name in (FILE, OLD_PLAN))
+        several = not one and any(results_dir.glob(f"*/{FILE}"))
+        page = _index(results_dir, say) if several else _report(results_dir, console, say)
+        if open_it:
+            import webbrowser
+
+            webbrowser.open(page.resolve().as_uri())
+
+
+def _report(results_dir: Path, console: object, say: Callable[[str], None]) -> Path:
+    from harness.report import write as reports
+
+    loaded = reports.load(results_dir)
+    files = loaded.write(say)
+    loaded.print(console)
+    for file in files:
+        say(str(file))
+    return files[0]
+
+
+def _index(place: Path, say: Callable[[str], None]) -> Path:
+    from harness.report import write as reports
+    from harness.report.page.index import index
+
+    text, old = index(place)
+    for folder in old:
+        say(str(reports.load(folder).write()[0]))
+    page = place / "index.html"
+    page.write_text(text, encoding="utf-8")
+    say(str(page))
+    return page

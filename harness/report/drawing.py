@@ -1,13 +1,10 @@
-"""Draws the figures of a report, on all cores where that is safe."""
+"""The figures of a report as tasks, of which the longest are shared out."""
 
 from __future__ import annotations
 
-import gc
-import multiprocessing
-import os
-import sys
-from collections.abc import Callable, Sequence
-from concurrent.futures import ProcessPoolExecutor
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
@@ -15,35 +12,40 @@ from harness.analysis.results import Results
 from harness.report.figures.canvas import Canvas, Drawn
 from harness.report.parts import parts
 
-_THREADED = ("torch", "drjit")
-"""Once these are loaded they run threads, which a forked process would lack."""
+_SHARED = ("convergence", "tradeoff", "pareto", "images")
+"""Figures that take longest, of which two canvases draw every other."""
+
+Found = list[Drawn] | str
+"""Figures, or why there are none."""
 
 
-def draw(
-    results: Results, names: Sequence[str], folder: Path, notify: Callable[[str], None]
-) -> dict[str, list[Drawn] | str]:
-    """Figures by name, in ``folder``; of one that cannot be drawn the reason.
-
-    ``notify`` is told each name before it is waited for.
-    """
-    workers = min(len(names), len(os.sched_getaffinity(0)))
-    if workers < 2 or any(library in sys.modules for library in _THREADED):
-        return {name: _one(results, name, folder) for name in names if _told(notify, name)}
-    # Results are inherited: to read or to pickle them would take longer than some figures.
-    context = multiprocessing.get_context("fork")
-    # Figures are many small objects and soon gone: collecting garbage among them takes a tenth.
-    with ProcessPoolExecutor(workers, context, initializer=gc.disable) as pool:
-        begun = {name: pool.submit(_one, results, name, folder) for name in names}
-        return {name: figures.result() for name, figures in begun.items() if _told(notify, name)}
+def tasks(results: Results, names: Sequence[str], folder: Path) -> dict[str, Callable[[], Found]]:
+    """What draws the figures ``names`` into ``folder``, by what it is called; the longest first."""
+    made: dict[str, Callable[[], Found]] = {}
+    for name in sorted(names, key=lambda name: name not in _SHARED):
+        shares = 2 if name in _SHARED else 1
+        for i in range(shares):
+            task = partial(_draw, results, name, Canvas(folder, share=(i, shares)))
+            made[_called(name, i, shares)] = task
+    return made
 
 
-def _one(results: Results, name: str, folder: Path) -> list[Drawn] | str:
-    figure: Callable[[Results, Canvas], Any] = parts("figures")[name].load()
-    canvas = Canvas(folder)
-    found = figure(results, canvas)
+def collected(made: Mapping[str, Any], names: Sequence[str]) -> dict[str, Found]:
+    """By name, in the order of ``names``, what :func:`tasks` gave."""
+    found: dict[str, Found] = {}
+    for name in names:
+        shares = 2 if name in _SHARED else 1
+        of_it = [made[_called(name, i, shares)] for i in range(shares)]
+        drawn = [one for one in of_it if not isinstance(one, str)]
+        in_turn = [figure for turn in zip_longest(*drawn) for figure in turn if figure is not None]
+        found[name] = in_turn if drawn else of_it[0]
+    return found
+
+
+def _called(name: str, share: int, shares: int) -> str:
+    return f"figure {name}" + (f", part {share + 1} of {shares}" if shares > 1 else "")
+
+
+def _draw(results: Results, name: str, canvas: Canvas) -> Found:
+    found = parts("figures")[name].load()(results, canvas)
     return found if isinstance(found, str) else canvas.drawn
-
-
-def _told(notify: Callable[[str], None], name: str) -> bool:
-    notify(f"figure {name}")
-    return True

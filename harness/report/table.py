@@ -50,12 +50,16 @@ class Cell:
 
 @dataclass(frozen=True)
 class Row:
-    """Cells after a label; ``about`` explains the label where a format has room for that."""
+    """Cells after a label; ``about`` explains the label where a format has room for that.
+
+    ``material``: what the row is of, where its label is not a material's or method's name.
+    """
 
     label: str
     cells: list[Cell]
     summary: bool = False
     about: str = ""
+    material: str = ""
 
 
 @dataclass(frozen=True)
@@ -74,7 +78,8 @@ class Section:
 class Table:
     """A named table. ``columns`` are the headings after ``corner``, the row label's.
 
-    ``best`` is "high", "low" or "" and decides which cell of a row may be bold.
+    ``best`` is "high", "low" or "" and decides which cell of a row may be bold. ``measures``
+    are those whose trials the numbers come from.
     """
 
     name: str
@@ -86,6 +91,7 @@ class Table:
     best: str = ""
     legend: list[str] = field(default_factory=list)
     text_columns: bool = False
+    measures: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         for section in self.sections:

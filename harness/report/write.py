@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -58,8 +59,9 @@ class Report:
 
     def _written(self, report: Path, notify: Callable[[str], None]) -> list[Path]:
         # Figures take matplotlib, which printing tables does not.
-        from harness.report.drawing import draw
-        from harness.report.page import Page, page
+        from harness.report import drawing
+        from harness.report.page.build import PARTS, Page, page
+        from harness.report.workers import together
 
         skipped = list(self.skipped)
         written = []
@@ -68,16 +70,20 @@ class Report:
                 written.append(report / f"{table.name}.{end}")
                 written[-1].write_text(form(table), encoding="utf-8")
         names = _names(self.results, "figures", parts("figures"))
+        pages = {f"page: {name}": partial(make, self.results) for name, make in PARTS.items()}
+        figures = drawing.tasks(self.results, names, report / "figures")
+        made = together(figures | pages, notify)
         drawn: list[Drawn] = []
-        for name, found in draw(self.results, names, report / "figures", notify).items():
+        for name, found in drawing.collected(made, names).items():
             if not isinstance(found, str):
                 drawn += found
             elif self.results.wanted("figures") is not None:
                 skipped.append(f"figure {name}: {found}")
         written += [path for figure in drawn for path in figure.files]
         index = report / "index.html"
-        shown = Page(self.results, self.tables, drawn, skipped)
-        index.write_text(page(shown), encoding="utf-8")
+        content = Page(self.results, self.tables, drawn, skipped)
+        prepared = {name: made[f"page: {name}"] for name in PARTS}
+        index.write_text(page(content, prepared), encoding="utf-8")
         written.insert(0, index)
         for message in skipped:
             notify(f"left out: {message}")

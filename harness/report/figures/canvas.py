@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 import re
 import textwrap
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import matplotlib as mpl
 from matplotlib.axes import Axes
@@ -19,6 +19,8 @@ from PIL.Image import Image
 from pypdfium2 import PdfDocument
 
 from harness.analysis import numbers
+
+T = TypeVar("T")
 
 DPI = 160
 _POINTS = 72
@@ -80,10 +82,20 @@ class Drawn:
 
 @dataclass
 class Canvas:
-    """Saves figures into ``folder``."""
+    """Saves figures into ``folder``.
+
+    Of several figures of one kind that canvases share, ``share`` (which, of how many) says whose
+    turn it is.
+    """
 
     folder: Path
     drawn: list[Drawn] = field(default_factory=list)
+    share: tuple[int, int] = (0, 1)
+
+    def mine(self, figures: Iterable[T]) -> list[T]:
+        """Those of ``figures`` that this canvas is to draw."""
+        which, of = self.share
+        return list(figures)[which::of]
 
     def save(
         self, figure: Figure, name: str, title: str, caption: str, vector: bool = True

@@ -27,8 +27,8 @@ def convergence(results: Results, canvas: Canvas) -> list[Drawn] | str:
     if not results.trials(MEASURE):
         return f"no trial of the measure {MEASURE} ended well"
     with styled():
-        return [_scene(results, canvas, scene) for scene in results.scenes(MEASURE)
-                if results.trials(MEASURE, scene=scene)]  # fmt: skip
+        scenes = [s for s in results.scenes(MEASURE) if results.trials(MEASURE, scene=s)]
+        return [_scene(results, canvas, scene) for scene in canvas.mine(scenes)]
 
 
 def _scene(results: Results, canvas: Canvas, scene: str) -> Drawn:

@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-import itertools
 import math
-from collections.abc import Callable
-from dataclasses import dataclass
 
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from matplotlib.transforms import Bbox
 
-from harness.analysis.combine import Estimate, geometric_mean
-from harness.analysis.families import Family, families
-from harness.analysis.front import Standing, standings
+from harness.analysis.combine import Estimate
+from harness.analysis.families import families
 from harness.analysis.pareto import CHARTS, Chart
 from harness.analysis.results import Results
 from harness.report.figures.canvas import Canvas, Drawn, log_ticks, styled
@@ -21,9 +17,10 @@ from harness.report.figures.knob_path import inserted
 from harness.report.figures.labels import Label, place
 from harness.report.figures.palette import Look, looks_of
 from harness.report.figures.small_multiples import Labels, panels
+from harness.report.series.pareto import ALL, Panel, Point
+from harness.report.series.pareto import panels as panels_of
 
 ORDER = 30
-ALL = "geometric mean"
 _OPACITY = {"front": 1.0, "possibly": 0.6, "surely": 0.22}
 _SIZE = (3.05, 2.65)
 """Inches of a panel."""
@@ -31,98 +28,16 @@ _SURE = 0.95
 """A point that is on the front with less probability than this says with how much."""
 
 
-@dataclass(frozen=True)
-class Point:
-    """A method's two numbers, and its standing among those of its panel."""
-
-    family: Family
-    label: str
-    x: Estimate
-    y: Estimate
-    standing: Standing | None = None
-
-
-@dataclass(frozen=True)
-class Panel:
-    """What one panel shows. ``levels`` have no place on the x axis, ``off`` none at all."""
-
-    points: list[Point]
-    levels: list[Point]
-    off: list[str]
-
-
 def pareto(results: Results, canvas: Canvas) -> list[Drawn] | str:
     """A figure per chart and scene; panels are materials, the geometric mean first."""
     drawn: list[Drawn] = []
     with styled():
-        for chart in CHARTS:
-            scenes = chart.scenes(results)
-            for scene in scenes:
-                panels = _panels(results, chart, scene)
-                if panels:
-                    several = len(scenes) > 1
-                    drawn.append(_figure(results, canvas, chart, scene, panels, several))
+        for chart, scene in canvas.mine((c, s) for c in CHARTS for s in c.scenes(results)):
+            found = panels_of(results, chart, scene)
+            if found:
+                several = len(chart.scenes(results)) > 1
+                drawn.append(_figure(results, canvas, chart, scene, found, several))
     return drawn or f"no trial gave both numbers of a chart ({', '.join(c.name for c in CHARTS)})"
-
-
-def _panels(results: Results, chart: Chart, scene: str) -> dict[str, Panel]:
-    found: dict[str, Panel] = {}
-    kin = families(results)
-    for material in results.materials:
-        points, levels, off = [], [], []
-        for family, member in ((f, m) for f in kin for m in f.members):
-            x = chart.x(results, material, member.label, scene)
-            y = chart.y(results, material, member.label, scene)
-            if not isinstance(x, Estimate) or not isinstance(y, Estimate):
-                continue
-            point = Point(family, member.label, x, y)
-            if not 0 < y.value < math.inf:
-                off.append(member.label)
-            elif chart.level(results, material, member.label):
-                # Its knobs cost nothing on this axis.
-                levels += [point] if member is family.base else []
-            elif 0 < x.value < math.inf:
-                points.append(point)
-        if points:
-            found[material] = Panel(_stood(points), levels, off)
-    if len(found) > 1:
-        return {ALL: _means(list(found.values()))} | found
-    return found
-
-
-def _stood(points: list[Point]) -> list[Point]:
-    ranks = standings([(p.x, p.y) for p in points])
-    return [Point(p.family, p.label, p.x, p.y, rank) for p, rank in zip(points, ranks, strict=True)]
-
-
-def _means(panels: list[Panel]) -> Panel:
-    """Geometric means of what has a point in every panel."""
-    every = len(panels)
-
-    def mean(kind: Callable[[Panel], list[Point]]) -> list[Point]:
-        by_label: dict[str, list[Point]] = {}
-        for point in itertools.chain(*map(kind, panels)):
-            by_label.setdefault(point.label, []).append(point)
-        return [
-            Point(
-                group[0].family,
-                label,
-                geometric_mean([p.x for p in group], every) if kind is _placed else group[0].x,
-                geometric_mean([p.y for p in group], every),
-            )
-            for label, group in by_label.items()
-            if len(group) == every
-        ]
-
-    return Panel(_stood(mean(_placed)), mean(_level), [])
-
-
-def _placed(panel: Panel) -> list[Point]:
-    return panel.points
-
-
-def _level(panel: Panel) -> list[Point]:
-    return panel.levels
 
 
 def _figure(

@@ -43,7 +43,7 @@ def tradeoff(results: Results, canvas: Canvas) -> list[Drawn] | str:
         return "no trial of the measure equal-time ended well"
     with styled():
         scenes = results.scenes("equal-time")
-        drawn = [_scene(results, canvas, scene) for scene in scenes]
+        drawn = [_scene(results, canvas, scene) for scene in canvas.mine(scenes)]
     found = [figure for figure in drawn if figure is not None]
     return found or "no method has both a divergence and a time"
 

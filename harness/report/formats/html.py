@@ -8,13 +8,6 @@ from typing import Any
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from harness.core.text import printable
-from harness.report.table import Footnotes, Table
-
-
-def html(table: Table) -> str:
-    """A ``section`` element with heading, caption, the grids and their notes."""
-    template = _environment().get_template("table.html")
-    return str(template.make_module().whole(table))
 
 
 def render(template: str, **values: Any) -> str:
@@ -30,12 +23,10 @@ def _seen(value: Any) -> Any:
 
 @cache
 def _environment() -> Environment:
-    environment = Environment(
+    return Environment(
         loader=PackageLoader("harness.report", "templates"),
         autoescape=True,
         undefined=StrictUndefined,
         finalize=_seen,
         keep_trailing_newline=True,
     )
-    environment.globals["footnotes"] = Footnotes.of
-    return environment

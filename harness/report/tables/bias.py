@@ -40,6 +40,7 @@ def bias(results: Results) -> Table | str:
         corner="material",
         columns=[method.label for method in results.methods],
         sections=sections,
+        measures=(MEASURE,),
     )
 
 

@@ -63,6 +63,7 @@ def breakeven(results: Results) -> Table | str:
         columns=[method.label for method in results.methods],
         sections=sections,
         legend=[line.format(reference=results.baseline) for line in _LEGEND],
+        measures=(*TIMES, "equal-spp", "fit"),
     )
 
 

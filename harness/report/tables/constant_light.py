@@ -48,4 +48,5 @@ def constant_light(results: Results) -> Table | str:
         sections=sections,
         best="low",
         legend=legend(results),
+        measures=(MEASURE,),
     )

@@ -37,6 +37,7 @@ def effect_counts(results: Results) -> Table | str:
         corner="effect",
         columns=columns,
         sections=effect_sections(results, found, columns, _counts),
+        measures=(MEASURE,),
     )
 
 

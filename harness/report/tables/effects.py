@@ -40,6 +40,7 @@ def effects(results: Results) -> Table | str:
         columns=columns,
         sections=sections,
         legend=choices(results),
+        measures=(MEASURE,),
     )
 
 

@@ -64,6 +64,7 @@ def image_checks(results: Results) -> Table | str:
         corner="check",
         columns=[method.label for method in results.methods],
         sections=sections,
+        measures=(MEASURE,),
     )
 
 

@@ -57,6 +57,7 @@ def importance_maps(results: Results) -> Table | str:
         sections=sections,
         best="low",
         legend=[BOLD_LEGEND],
+        measures=(MEASURE,),
     )
 
 

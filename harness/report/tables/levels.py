@@ -59,4 +59,5 @@ def levels(results: Results) -> Table | str:
         corner="material",
         columns=[f"level {i}" for i in range(max(count, 1))],
         sections=sections,
+        measures=(MEASURE, TIMES),
     )

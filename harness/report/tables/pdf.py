@@ -63,4 +63,5 @@ def pdf(results: Results) -> Table | str:
         sections=sections,
         best="low",
         legend=legend(results),
+        measures=(MEASURE,),
     )

@@ -60,6 +60,7 @@ def ranking(results: Results) -> Table | str:
         columns=_COLUMNS,
         sections=sections,
         legend=list(_LEGEND),
+        measures=(MEASURE,),
     )
 
 

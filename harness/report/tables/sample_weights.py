@@ -61,6 +61,7 @@ def sample_weights(results: Results) -> Table | str:
         sections=sections,
         best="low",
         legend=legend(results),
+        measures=(MEASURE,),
     )
 
 

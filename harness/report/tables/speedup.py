@@ -62,6 +62,7 @@ def speedups(
             *([_MEAN_LEGEND] * (len(results.materials) > 1)),
             *_about_tails(results, measure),
         ],
+        measures=(measure, "equal-spp"),
     )
 
 

@@ -29,7 +29,10 @@ def stability(results: Results) -> Table | str:
         return f"no trial of the measure {MEASURE} is stored"
     rows = case_rows(results)
     sections = [
-        Section(group, [Row(r.name, _cells(results, r), about=r.about) for r in members])
+        Section(
+            group,
+            [Row(r.name, _cells(results, r), about=r.about, material=r.material) for r in members],
+        )
         for group, members in groups(rows).items()
     ]
     methods = [method.label for method in results.methods]
@@ -48,6 +51,7 @@ def stability(results: Results) -> Table | str:
         columns=methods,
         sections=[Section("all cases", _summary(rows, len(methods))), *sections],
         legend=[_LEGEND, _NUMBERS],
+        measures=(MEASURE,),
     )
 
 

@@ -87,6 +87,7 @@ def table1(results: Results) -> Table | str:
             *_LEGEND,
             *(_about(paper) if paper else ()),
         ],
+        measures=(MEASURE,),
     )
 
 

@@ -64,6 +64,7 @@ def timing(results: Results) -> Table | str:
         corner="method",
         columns=columns,
         sections=[Section("", rows)],
+        measures=("equal-time", "fit"),
     )
 
 

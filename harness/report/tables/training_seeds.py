@@ -42,6 +42,7 @@ def training_seeds(results: Results) -> Table | str:
         columns=[method.label for method in results.methods],
         sections=sections,
         legend=list(_LEGEND),
+        measures=tuple(measure for measure, _, _ in QUANTITIES),
     )
 
 

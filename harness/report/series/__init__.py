@@ -1,0 +1,1 @@
+"""What plots show, as plain data: the print figures and the page draw the same."""
