@@ -30,7 +30,18 @@ def register(app: typer.Typer) -> None:
         ] = None,
         profile: Profile = None,
         only: Only = None,
-        executor: Annotated[str, typer.Option(help="local (dask is to come).")] = "local",
+        executor: Annotated[
+            str, typer.Option(help="local (worker processes) or inline (none; for debuggers).")
+        ] = "local",
+        workers: Annotated[
+            int, typer.Option(min=1, help="Fits and untimed measures side by side.")
+        ] = 1,
+        trial_seconds: Annotated[
+            float | None, typer.Option(help="A trial is ended after so long.")
+        ] = None,
+        trial_memory: Annotated[
+            float | None, typer.Option(help="A trial is ended at so many GiB.")
+        ] = None,
         retry: Retry = None,
         refit: Annotated[
             bool, typer.Option("--refit", help="Fit all anew, also what comes fitted.")
@@ -40,13 +51,14 @@ def register(app: typer.Typer) -> None:
     ) -> None:
         """Carry out what a suite asks for and is not stored yet, then print its tables."""
         from harness.runner import executor as executors
+        from harness.runner.limits import Limits
         from harness.runner.run import Options
         from harness.suite.load import load
 
         again = failed_again(retry)
-        executors.make(executor)
+        executors.check(executor)
+        limits = Limits(trial_seconds, trial_memory and trial_memory * 2**30)
         plan = planned(load(suite), profile, device)
         results = out or Path("results") / plan.suite
-        raise typer.Exit(
-            run_and_report(plan, results, Options(only, executor, again, dry_run, refit))
-        )
+        options = Options(only, executor, again, dry_run, refit, workers, limits)
+        raise typer.Exit(run_and_report(plan, results, options))
