@@ -285,9 +285,7 @@ def test_dry_run_touches_nothing(tmp_path: Path):
     assert not (tmp_path / "out").exists()
 
 
-def test_dask_is_refused(tmp_path: Path):
-    with pytest.raises(InputError, match="dask is not there yet; use --executor local"):
-        go(tmp_path, Options(executor="dask"))
+def test_unknown_executor(tmp_path: Path):
     with pytest.raises(InputError, match="unknown executor 'locl'; did you mean 'local'"):
         go(tmp_path, Options(executor="locl"))
 

@@ -31,8 +31,8 @@ def register(app: typer.Typer) -> None:
         profile: Profile = None,
         only: Only = None,
         executor: Annotated[
-            str, typer.Option(help="local (worker processes) or inline (none; for debuggers).")
-        ] = "local",
+            str | None, typer.Option(help="local (worker processes) or inline (for debuggers).")
+        ] = None,
         workers: Annotated[
             int, typer.Option(min=1, help="Fits and untimed measures side by side.")
         ] = 1,
@@ -56,7 +56,8 @@ def register(app: typer.Typer) -> None:
         from harness.suite.load import load
 
         again = failed_again(retry)
-        executors.check(executor)
+        if executor is not None:
+            executors.check(executor)
         limits = Limits(trial_seconds, trial_memory and trial_memory * 2**30)
         plan = planned(load(suite), profile, device)
         results = out or Path("results") / plan.suite

@@ -40,14 +40,13 @@ FIT_THREADS = 1
 class Carrier:
     """Does one task after the other, and keeps what they share: materials, scenes, methods."""
 
-    def __init__(
-        self, note: Callable[[str], None], resolved: Resolved | None = None, isolated: bool = True
-    ):
-        self.note, self.isolated = note, isolated
+    def __init__(self, note: Callable[[str], None], resolved: Resolved | None = None):
+        self.note = note
         self.jobs = Jobs("", {}, note, resolved)
         self.prober: Prober | None = None
         self.material = ""
         self.threads = torch.get_num_threads()
+        self.seen: global_state.GlobalState | None = None
 
     def do(self, task: Task, begun: Callable[[], None] = lambda: None) -> Answer:
         """The answer to ``task``; ``begun`` is called once the machine is free for it."""
@@ -64,9 +63,10 @@ class Carrier:
             begun()
             torch.set_num_threads(FIT_THREADS if task.is_fit else self.threads)
             global_state.seed_all(stream_seed(task.first.measure, task.first.seed))
-            before = global_state.look()
+            before = global_state.look(self.seen)
             answer = self._answer(task)
-            answer.findings = global_state.changes(before, global_state.look())
+            self.seen = global_state.look()
+            answer.findings = global_state.changes(before, self.seen)
             torch.set_num_threads(self.threads)
             return answer
 

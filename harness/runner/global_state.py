@@ -15,9 +15,10 @@ import signal
 import sys
 import threading
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from types import BuiltinFunctionType, FunctionType, ModuleType
+from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -31,17 +32,29 @@ MODULES = (
 """Modules whose functions and classes are to stay what they are, besides all of ours."""
 CLASSES = (torch.Tensor, torch.nn.Module, torch.Generator, torch.optim.Adam)
 OURS = ("harness.",)
+FOLLOWS = ("torch.Storage",)
+"""What is another object where a value above is another."""
+WORKER = "BSDF_HARNESS_WORKER"
+"""Environment variable with the process of a worker, for what it starts."""
 _SHOWN = 60
 _OF_PYTHON = "multiprocessing.resource_tracker"
 """A process that Python keeps beside those that it spawned."""
 
 
 @dataclass(frozen=True)
+class _Names:
+    """What a module or class holds, by name; of a class also those that it inherits from."""
+
+    inside: dict[str, Any]
+    bases: tuple[type, ...] = ()
+
+
+@dataclass(frozen=True)
 class GlobalState:
-    """One look: ``values`` by what they are, ``objects`` by their full names."""
+    """One look: ``values`` by what they are, ``names`` by the full name of a module or class."""
 
     values: dict[str, Any]
-    objects: dict[str, Any]
+    names: dict[str, _Names]
 
 
 def seed_all(seed: int) -> None:
@@ -51,9 +64,9 @@ def seed_all(seed: int) -> None:
     random.seed(seed)
 
 
-def look() -> GlobalState:
-    """The state now; a few milliseconds."""
-    return GlobalState(_values(), dict(_objects()))
+def look(known: GlobalState | None = None) -> GlobalState:
+    """The state now; some milliseconds, less with an earlier look since which no name changed."""
+    return GlobalState(_values(), known.names if known is not None else _names())
 
 
 def changes(before: GlobalState, after: GlobalState) -> list[str]:
@@ -63,11 +76,9 @@ def changes(before: GlobalState, after: GlobalState) -> list[str]:
         now = after.values.get(name)
         if now != was:
             found.append(_sentence(name, was, now))
-    for name, was in before.objects.items():
-        if name in after.objects and after.objects[name] is not was:
-            found.append(f"replaces {name}")
-        elif name not in after.objects:
-            found.append(f"removes {name}")
+    for name, held in before.names.items():
+        if name in after.names:
+            found += _replaced(name, held, after.names[name])
     return found
 
 
@@ -118,35 +129,49 @@ def _values() -> dict[str, Any]:
     return found
 
 
-def _objects() -> Iterator[tuple[str, Any]]:
-    """Functions and classes by full name; data of modules may change and do."""
+def _names() -> dict[str, _Names]:
+    """The names of every module and class that is watched."""
+    found = {}
     for name, module in list(sys.modules.items()):
         if name in MODULES or name.startswith(OURS):
-            yield from _callables(name, vars(module))
+            inside = dict(vars(module))
+            found[name] = _Names(inside)
             if name.startswith(OURS):
-                for key, value in list(vars(module).items()):
-                    if isinstance(value, type) and value.__module__ == name:
-                        yield from _callables(f"{name}.{key}", vars(value))
-    for kind in CLASSES:
-        # What a class inherits may be replaced in the class itself.
-        for key in dir(kind):
-            if callable(value := getattr(kind, key, None)) and not isinstance(value, type):
-                yield f"{kind.__module__}.{kind.__qualname__}.{key}", _itself(kind, key, value)
+                found |= {f"{name}.{k.__name__}": _of(k) for k in _classes(name, inside)}
+    return found | {f"{kind.__module__}.{kind.__qualname__}": _of(kind) for kind in CLASSES}
 
 
-def _callables(name: str, names: Any) -> Iterator[tuple[str, Any]]:
-    for key, value in list(names.items()):
-        plain = isinstance(value, FunctionType | BuiltinFunctionType | type)
-        if (plain or callable(value)) and not isinstance(value, ModuleType):
-            yield f"{name}.{key}", value
+def _of(kind: type) -> _Names:
+    return _Names(dict(vars(kind)), kind.__mro__[1:])
 
 
-def _itself(kind: type, key: str, value: Any) -> Any:
-    """The object in the class that has it: a bound method is another with every look."""
-    for base in kind.__mro__:
-        if key in vars(base):
-            return vars(base)[key]
-    return value
+def _classes(name: str, inside: dict[str, Any]) -> list[type]:
+    """Classes that a module defines; looked for again when its names are more or fewer."""
+    known = _CLASSES.get(name)
+    if known is None or known[0] != len(inside):
+        found = [v for v in inside.values() if isinstance(v, type) and v.__module__ == name]
+        known = _CLASSES[name] = len(inside), found
+    return known[1]
+
+
+_CLASSES: dict[str, tuple[int, list[type]]] = {}
+
+
+def _replaced(name: str, before: _Names, after: _Names) -> Iterator[str]:
+    """Functions and classes that are others; data of modules may change and do."""
+    now = after.inside
+    for key, was in before.inside.items():
+        if now.get(key) is not was and _counts(was) and f"{name}.{key}" not in FOLLOWS:
+            yield f"{'replaces' if key in now else 'removes'} {name}.{key}"
+    if before.bases:
+        for key in now.keys() - before.inside.keys():
+            if _counts(now[key]) and any(key in vars(base) for base in before.bases):
+                yield f"replaces {name}.{key}"  # which was inherited
+
+
+def _counts(value: Any) -> bool:
+    code = callable(value) or isinstance(value, property | classmethod | staticmethod)
+    return code and not isinstance(value, ModuleType)
 
 
 def _numbered(state: Any) -> int:
@@ -162,15 +187,28 @@ def _working_folder() -> str:
 
 def _children() -> Iterator[str]:
     """Command lines of processes that this one started and that still run."""
-    for task in Path("/proc/self/task").glob("*/children"):
-        for pid in task.read_text().split():
+    own = f"{WORKER}={os.environ.get(WORKER, '')}".encode()
+    for parent in (os.getpid(), os.getppid()):
+        for pid in _children_of(parent):
             try:
                 line = Path(f"/proc/{pid}/cmdline").read_bytes().replace(b"\0", b" ").decode()
                 state = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
+                # The parent of a worker takes in what workers left; this tells whose it was.
+                known = parent == os.getpid() or own in _environment(pid) and own[-1:] != b"="
             except OSError:
                 continue
-            if _OF_PYTHON not in line and state != "Z":
+            if known and _OF_PYTHON not in line and state != "Z":
                 yield f"{pid} {line.strip()}"
+
+
+def _children_of(pid: int) -> Iterator[str]:
+    for task in Path(f"/proc/{pid}/task").glob("*/children"):
+        with suppress(OSError):
+            yield from task.read_text().split()
+
+
+def _environment(pid: str) -> list[bytes]:
+    return Path(f"/proc/{pid}/environ").read_bytes().split(b"\0")
 
 
 def _short(value: Any) -> str:

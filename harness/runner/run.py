@@ -215,6 +215,9 @@ def _sum_up(todo: Todo, console: Console) -> int:
         more = f" (and {len(trials) - 1} more)" if len(trials) > 1 else ""
         style = "red" if status in FAILED else "yellow"
         _say(console, f"  {status}: {trials[0]}{more}: {reason}", style)
+    findings = Counter(finding for _, stored in found for finding in stored.findings)
+    for finding, count in findings.most_common():
+        _say(console, f"  finding ({_trials(count)}): {finding}", "yellow")
     if failed:
         _say(
             console,

@@ -10,12 +10,15 @@ from __future__ import annotations
 import os
 import pickle
 import sys
+import tempfile
 import traceback
 from dataclasses import dataclass, replace
 from multiprocessing.connection import Connection
 from typing import Any
 
+from harness.core.registry import oneline
 from harness.measures.base import Outcome
+from harness.runner.global_state import WORKER
 from harness.runner.task import Answer, Task
 
 
@@ -34,10 +37,11 @@ def serve(descriptor: int) -> None:
     connection = Connection(descriptor)
     setup: Setup = pickle.loads(connection.recv_bytes())
     os.environ.clear()
-    os.environ.update(setup.environment)
+    os.environ.update(setup.environment | {WORKER: str(os.getpid())})
     if os.path.isdir(setup.folder):
         os.chdir(setup.folder)
     sys.path[:] = setup.path
+    tempfile.tempdir = None  # the environment says it
 
     def say(*what: Any) -> None:
         connection.send_bytes(pickle.dumps(what, protocol=5))
@@ -65,7 +69,6 @@ def serve(descriptor: int) -> None:
 
 
 def _broken(task: Task, error: BaseException) -> Answer:
-    reason = f"{type(error).__name__}: {str(error).strip().partition(chr(10))[0]}"
-    failed = Outcome("error", reason, traceback=traceback.format_exc())
+    failed = Outcome("error", oneline(error), traceback=traceback.format_exc())
     # What raised here was not looked at afterwards.
     return Answer([replace(failed) for _ in task.trials], findings=["ends its job with an error"])

@@ -1,4 +1,4 @@
-"""The trials that gave no number, and why."""
+"""The trials that gave no number, and why; what methods did that they should not."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ _COLUMNS = ("method", "measure", "status", "reason")
 
 
 def status(results: Results) -> Table | str:
-    """A row for each failure of a method; what failed alike shares one."""
+    """A row for each failure of a method, and each finding; what is alike shares one."""
     failed = results.frame[results.frame["status"] != "ok"].drop_duplicates("trial")
     # An interrupted run leaves hundreds of these; their number says it all.
     waiting = (failed["status"] == "skipped") & (failed["reason"] == NOT_RUN)
@@ -19,6 +19,10 @@ def status(results: Results) -> Table | str:
     for row in failed[~waiting].to_dict("records"):
         reason = " ".join(str(row["reason"]).split()) or "no reason stored"
         alike.setdefault((row["method"], row["status"], reason), []).append(row)
+    for row in results.frame.drop_duplicates("trial").to_dict("records"):
+        stored = results.found.get(row["trial"])
+        for finding in stored.findings if stored else ():
+            alike.setdefault((row["method"], "finding", finding), []).append(row)
     rows = []
     for (method, state, reason), members in alike.items():
         words = (method, _places(members, results), state, reason)
