@@ -31,7 +31,10 @@ def register(app: typer.Typer) -> None:
         profile: Profile = None,
         only: Only = None,
         executor: Annotated[
-            str | None, typer.Option(help="local (worker processes) or inline (for debuggers).")
+            str | None, typer.Option(help="local (worker processes), dask, or inline (no process).")
+        ] = None,
+        scheduler: Annotated[
+            str | None, typer.Option(help="Of a Dask cluster, such as tcp://HOST:8786.")
         ] = None,
         workers: Annotated[
             int, typer.Option(min=1, help="Fits and untimed measures side by side.")
@@ -50,6 +53,7 @@ def register(app: typer.Typer) -> None:
         device: Device = "cpu",
     ) -> None:
         """Carry out what a suite asks for and is not stored yet, then print its tables."""
+        from harness.core.protocol.errors import InputError
         from harness.runner import executor as executors
         from harness.runner.limits import Limits
         from harness.runner.run import Options
@@ -58,8 +62,16 @@ def register(app: typer.Typer) -> None:
         again = failed_again(retry)
         if executor is not None:
             executors.check(executor)
+        if scheduler is not None and executor != executors.DASK:
+            raise InputError("--scheduler: expected --executor dask with it")
         limits = Limits(trial_seconds, trial_memory and trial_memory * 2**30)
-        plan = planned(load(suite), profile, device)
+        loaded, made, machine = load(suite), None, None
+        if executor == executors.DASK and not dry_run:
+            from harness.runner.cluster import Cluster, connect
+
+            made = Cluster(connect(scheduler, workers), device, limits)
+            machine = made.machine()
+        plan = planned(loaded, profile, device, machine)
         results = out or Path("results") / plan.suite
-        options = Options(only, executor, again, dry_run, refit, workers, limits)
+        options = Options(only, made or executor, again, dry_run, refit, workers, limits)
         raise typer.Exit(run_and_report(plan, results, options))

@@ -68,9 +68,9 @@ class Driver:
             fits = [Group([trial]) for unit in some for trial in unit.fits]
             self._open |= {trial.hash for unit in some for trial in unit.fits}
             groups = [group for unit in some for group in unit.groups]
-            self._carry_out(fits + [g for g in groups if not _timed(g)], self.execute.slots)
+            self._carry_out(fits + [g for g in groups if not _timed(g)])
             timed = [part for g in groups if _timed(g) for part in self._fair(g)]
-            self._carry_out(timed, 1)
+            self._carry_out(timed)
             self.probes.keep(self._measured, self.progress.note)
             self._measured.clear()
 
@@ -95,11 +95,17 @@ class Driver:
 
     # --- handing out ---------------------------------------------------------------------------
 
-    def _carry_out(self, groups: Sequence[Group], slots: int) -> None:
-        """Up to ``slots`` groups at a time, each once the fits that it needs are there."""
+    def _carry_out(self, groups: Sequence[Group]) -> None:
+        """As many groups at a time as the executor takes, each once its fits are there.
+
+        All of them are timed, or none is.
+        """
         pending, running = deque(groups), dict[int, _Given]()
         last = ""
         while pending or running:
+            first = next(iter(pending), None)
+            alone = first is not None and _timed(first)
+            slots = self.execute.timed_slots if alone else self.execute.slots
             while len(running) < slots and (group := self._next(pending, running, last)):
                 given = self._given(group)
                 if given is not None:

@@ -11,8 +11,8 @@ from typing import Protocol, Self
 from harness.core.protocol.errors import InputError, nearest
 from harness.runner.task import Answer, Task
 
-LOCAL, INLINE = "local", "inline"
-NAMES = (LOCAL, INLINE)
+LOCAL, DASK, INLINE = "local", "dask", "inline"
+NAMES = (LOCAL, DASK, INLINE)
 default = LOCAL
 """What a run takes that names none."""
 
@@ -20,8 +20,14 @@ default = LOCAL
 class Executor(Protocol):
     """Use it as a context manager: what it started ends with it."""
 
-    slots: int
-    """Tasks that it can have in hand at a time; one that has to be ``alone`` is handed in alone."""
+    @property
+    def slots(self) -> int:
+        """Tasks that it can have in hand at a time, of those that need not be ``alone``."""
+
+    @property
+    def timed_slots(self) -> int:
+        """Tasks at a time of those that have to be alone: one for each machine."""
+
     isolated: bool
     """Whether methods that are not ours run in processes of their own."""
 
@@ -35,7 +41,7 @@ class Executor(Protocol):
         """Take a task; ``number`` is the caller's."""
 
     def wait(self) -> list[tuple[int, Answer]]:
-        """Answers that are there, after a while at least; none if nothing was submitted."""
+        """Answers that are there; none after a while, or if nothing was submitted."""
 
 
 def check(name: str) -> str:

@@ -16,7 +16,7 @@ from harness.suite.resolve import Resolved
 class Inline:
     """See :class:`harness.runner.executor.Executor`."""
 
-    slots, isolated = 1, False
+    slots, timed_slots, isolated = 1, 1, False
 
     def __init__(self, note: Callable[[str], None], resolved: Resolved):
         self.carrier = Carrier(note, resolved)

@@ -26,7 +26,7 @@ KEPT = 4
 """Idle workers that are kept besides as many as there are slots."""
 TRIES = 3
 """Of a task whose worker was killed: by a user, or by the system when memory ran out."""
-_TICK = 0.25
+_TICK, _WAIT = 0.25, 1.0
 
 
 @dataclass
@@ -53,11 +53,19 @@ class _Busy:
 class Local:
     """See :class:`harness.runner.executor.Executor`."""
 
-    isolated = True
+    isolated, timed_slots = True, 1
 
-    def __init__(self, note: Callable[[str], None], device: str, slots: int, limits: Limits):
+    def __init__(
+        self,
+        note: Callable[[str], None],
+        device: str,
+        slots: int,
+        limits: Limits,
+        share: int | None = None,
+    ):
+        """``share``: so many workers share the machine's memory, by default as many as slots."""
         self.note, self.device, self.slots, self.limits = note, device, slots, limits
-        self.memory = limits.memory_of(slots)
+        self.memory = limits.memory_of(share or slots)
         self.server: ForkServer | None = None
         self.workers: list[_Worker] = []
         self._looked = 0.0
@@ -85,12 +93,19 @@ class Local:
         if not busy:
             return []
         found = []
-        while not found:
+        end = time.monotonic() + _WAIT
+        while not found and time.monotonic() < end:
             for connection in wait(list(busy), _TICK):
                 found += self._heard(busy[connection])
             found += self._ended()
             busy = {w.connection: w for w in self.workers if w.busy}
         return found
+
+    def rest(self) -> None:
+        """End all workers, if none has work."""
+        if not any(worker.busy for worker in self.workers):
+            for worker in list(self.workers):
+                self._retire(worker)
 
     # --- workers -------------------------------------------------------------------------------
 

@@ -7,6 +7,7 @@ from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from rich.console import Console
 from rich.text import Text
@@ -36,6 +37,9 @@ from harness.suite.named import files_of
 from harness.suite.plan import Plan
 from harness.suite.trials import FIT, Trial
 
+if TYPE_CHECKING:
+    from harness.runner.cluster import Cluster
+
 INTERRUPTED = 130
 """Exit status after Ctrl-C, as shells have it."""
 
@@ -45,7 +49,7 @@ class Options:
     """What the command line adds to the plan."""
 
     only: str | None = None
-    executor: str | None = None
+    executor: str | Cluster | None = None
     retry_failed: bool = False
     dry_run: bool = False
     refit: bool = False
@@ -56,7 +60,8 @@ class Options:
 
 def run(plan: Plan, results: Path, options: Options, console: Console) -> int:
     """Carry out what is missing; returns the exit status. Reports nothing but itself."""
-    name = executors.check(options.executor or executors.default)
+    if isinstance(options.executor, str):
+        executors.check(options.executor)
     only = only_option.parse(options.only, plan)
     preflight.check_report(plan)
     if options.dry_run:
@@ -71,7 +76,7 @@ def run(plan: Plan, results: Path, options: Options, console: Console) -> int:
     with locked(results):
         mend(results, lambda text: _say(console, text, "yellow"))
         said = _Said()
-        made = make_executor(name, plan, options, lambda text: said.note(text))
+        made = make_executor(plan, options, lambda text: said.note(text))
         with ResultsFolder(results, write=True) as store, made as execute:
             renew(store)
             todo = _todo(plan, store, only, options, execute)
@@ -120,15 +125,23 @@ class _Said:
         """Show it."""
 
 
-def make_executor(name: str, plan: Plan, options: Options, note: Callable[[str], None]) -> Executor:
-    """The executor called ``name``, for the tasks of a plan."""
+def make_executor(plan: Plan, options: Options, note: Callable[[str], None]) -> Executor:
+    """The executor that is asked for, for the tasks of a plan."""
+    name = options.executor or executors.default
     if name == executors.INLINE:
         from harness.runner.inline import Inline
 
         return Inline(note, plan.resolved)
-    from harness.runner.local import Local
+    if name == executors.LOCAL:
+        from harness.runner.local import Local
 
-    return Local(note, plan.device, options.workers, options.limits)
+        return Local(note, plan.device, options.workers, options.limits)
+    from harness.runner.cluster import Cluster, connect
+
+    if isinstance(name, str):
+        name = Cluster(connect(None, options.workers), plan.device, options.limits)
+    name.carry(plan)
+    return name
 
 
 def _todo(
