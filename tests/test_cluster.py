@@ -28,7 +28,7 @@ from tests.test_workers import LIMITS, go, numbers, suite
 TIMED = {
     "measures": [
         {"name": "pdf", "conditions": 4, "resolution": 8, "samples": 8},
-        {"name": "throughput", "batch": 256, "rounds": 4, "least_seconds": 1e-4, "starts": 0},
+        {"name": "throughput", "batch": 256, "rounds": 4, "least_seconds": 1e-4},
     ]
 }
 
@@ -41,11 +41,17 @@ def of_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None
     return
 
 
-def test_a_cluster_gives_the_same_numbers(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("workers", "changes"), [(1, {}), pytest.param(2, TIMED, marks=pytest.mark.slow)]
+)
+def test_a_cluster_gives_the_same_numbers(
+    tmp_path: Path, workers: int, changes: dict[str, Any]
+) -> None:
     pytest.importorskip("distributed")
-    path = suite(tmp_path / "s", "1", ["Type"], **TIMED)
+    path = suite(tmp_path / "s", "1", ["Type"], **changes)
     _, _, here = go(path, Options(limits=LIMITS))
-    code, text, there = go(path, Options("", "dask", workers=2, limits=LIMITS), out="dask")
+    dask = Options(executor="dask", workers=workers, limits=LIMITS)
+    code, text, there = go(path, dask, out="dask")
     assert code == 0, text
     assert set(here) == set(there), "times are of the same machine"
     assert {t.status for t in there.values()} == {"ok"}

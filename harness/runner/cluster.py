@@ -105,9 +105,9 @@ class Cluster:
 
     @property
     def slots(self) -> int:
-        """Threads of all workers, and as many tasks that are on their way."""
+        """Threads of all workers."""
         workers = self.client.scheduler_info(n_workers=-1)["workers"].values()
-        return max(1, 2 * sum(worker["nthreads"] for worker in workers))
+        return max(1, sum(worker["nthreads"] for worker in workers))
 
     @property
     def timed_slots(self) -> int:

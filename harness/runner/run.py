@@ -89,7 +89,7 @@ def run(plan: Plan, results: Path, options: Options, console: Console) -> int:
                 _say(console, f"profile {plan.profile}: {plan.note}", "yellow")
             _explain(todo, console)
             interrupted = False
-            with Progress(console, todo.trials, todo.stored) as progress:
+            with Progress(console, todo.trials, todo.stored, execute.slots) as progress:
                 said.note = progress.note
                 validity = Validity(plan, todo.stored)
                 driver = Driver(
