@@ -64,10 +64,12 @@ class Carrier:
             torch.set_num_threads(FIT_THREADS if task.is_fit else self.threads)
             global_state.seed_all(stream_seed(task.first.measure, task.first.seed))
             before = global_state.look(self.seen)
-            answer = self._answer(task)
-            self.seen = global_state.look()
+            try:
+                answer = self._answer(task)
+                self.seen = global_state.look()
+            finally:
+                torch.set_num_threads(self.threads)
             answer.findings = global_state.changes(before, self.seen)
-            torch.set_num_threads(self.threads)
             return answer
 
     def _answer(self, task: Task) -> Answer:

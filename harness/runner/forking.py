@@ -20,6 +20,8 @@ _START = (
     "import sys; sys.path[:] = {path!r}; "
     "from harness.runner.fork_server import main; main({fd}, {path!r}, {device!r})"
 )
+_IMPORTS, _PATIENCE = 600.0, 60.0
+"""Seconds to wait for a server that imports, and for one that has only to answer."""
 _idle: dict[str, list[ForkServer]] = {}
 """By device: servers whose run is over."""
 
@@ -62,9 +64,8 @@ class ForkServer:
         Raises:
             RuntimeError: it could not import what it needs.
         """
-        if not self.is_ready:
-            self.socket.setblocking(True)
-            self._take(self.socket.recv(LONGEST))
+        while not self.is_ready:
+            self._hear(_IMPORTS)
 
     def fork(self) -> tuple[int, int, Connection]:
         """A new worker: its number, its process, and the connection to it.
@@ -82,9 +83,8 @@ class ForkServer:
                 socket.send_fds(self.socket, [message], [there.fileno()])
             except OSError:
                 raise ServerLost from None
-        self.socket.setblocking(True)
         while number not in self.forked:
-            self._take(self.socket.recv(LONGEST))
+            self._hear(_PATIENCE)
         connection = Connection(here.detach())
         setup = Setup(dict(os.environ), os.getcwd(), list(sys.path), self.device)
         with suppress(OSError):  # it ended at once, which its next reader sees
@@ -100,11 +100,10 @@ class ForkServer:
         if number not in self.ended:
             try:
                 self.socket.send(json.dumps({"end": number}).encode())
-                self.socket.setblocking(True)
-                while number not in self.ended:
-                    self._take(self.socket.recv(LONGEST))
             except OSError:
                 raise ServerLost from None
+            while number not in self.ended:
+                self._hear(_PATIENCE)
         self.forked.pop(number, None)
         return self.ended.pop(number)
 
@@ -112,9 +111,19 @@ class ForkServer:
         """End it and its workers."""
         self.socket.close()
         os.close(self.errors)
-        self.process.wait()
+        try:
+            self.process.wait(_PATIENCE)
+        except subprocess.TimeoutExpired:
+            self.process.kill()  # its workers die with it
+            self.process.wait()
 
-    def _take(self, data: bytes) -> None:
+    def _hear(self, seconds: float) -> None:
+        """The next message, or the end of the server."""
+        self.socket.settimeout(seconds)
+        try:
+            data = self.socket.recv(LONGEST)
+        except OSError:  # it was reset, or says nothing: an interrupt may have cost a message
+            raise ServerLost from None
         if not data:
             raise ServerLost
         said = json.loads(data)

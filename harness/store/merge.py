@@ -25,8 +25,8 @@ _RANK = ("ok", "unsupported", "nonfinite", "timeout", "error", "skipped")
 
 @dataclass
 class Merged:
-    """``taken`` trials of each folder; ``conflicts`` are trials whose numbers differ, by folder
-    those that were left; ``elsewhere`` counts those of each further machine."""
+    """``taken`` trials of each folder; ``conflicts`` are trials whose numbers differ and are no
+    times, by folder those that were left; ``elsewhere`` counts those of each further machine."""
 
     taken: dict[Path, int] = field(default_factory=dict)
     conflicts: dict[Path, list[str]] = field(default_factory=dict)
@@ -84,7 +84,8 @@ def _merge(sources: Sequence[Path], fresh: Path) -> Merged:
                         continue
                     known = best.get(trial.hash)
                     if known is not None and _rank(known) <= _rank(trial):
-                        if known.records != trial.records and known.folder != source:
+                        same = machine is not None or known.records == trial.records
+                        if not same and known.folder != source:
                             merged.conflicts.setdefault(source, []).append(trial.hash)
                         continue
                     labels = {name: label[name] for name in LABELS}
