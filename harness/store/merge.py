@@ -84,7 +84,8 @@ def _merge(sources: Sequence[Path], fresh: Path) -> Merged:
                         continue
                     known = best.get(trial.hash)
                     if known is not None and _rank(known) <= _rank(trial):
-                        same = machine is not None or known.records == trial.records
+                        # As texts: nan is not equal to nan.
+                        same = machine is not None or str(known.records) == str(trial.records)
                         if not same and known.folder != source:
                             merged.conflicts.setdefault(source, []).append(trial.hash)
                         continue

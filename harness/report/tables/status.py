@@ -11,7 +11,7 @@ _COLUMNS = ("method", "measure", "status", "reason")
 
 
 def status(results: Results) -> Table | str:
-    """A row for each failure of a method, and each finding; what is alike shares one."""
+    """A row for each failure of a method; what failed alike shares one."""
     failed = results.frame[results.frame["status"] != "ok"].drop_duplicates("trial")
     # An interrupted run leaves hundreds of these; their number says it all.
     waiting = (failed["status"] == "skipped") & (failed["reason"] == NOT_RUN)
