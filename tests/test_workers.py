@@ -111,10 +111,14 @@ def go_twice(path: Path, bad: list[Bad]) -> dict[str, Stored]:
     return stored
 
 
-def numbers(stored: dict[str, Stored], method: str) -> dict[tuple[str, str], Any]:
+def numbers(stored: dict[str, Stored], method: str) -> dict[tuple[Any, ...], Any]:
     """Records of a method that are no times, bit for bit."""
     return {
-        (trial.labels["measure"], r["metric"]): (r["value"], r["ci_low"], r["ci_high"])
+        (*(trial.labels[k] for k in ("material", "seed", "measure")), r["metric"]): (
+            r["value"],
+            r["ci_low"],
+            r["ci_high"],
+        )
         for trial in stored.values()
         if trial.labels["method"] == method and trial.labels["measure"] != "throughput"
         for r in trial.records
@@ -151,6 +155,22 @@ def test_bad_adapters_cost_their_own_trials(tmp_path: Path, mark: str) -> None:
     (table,) = (s for s in table_of(Results.load(tmp_path / "bad" / "out")).sections)
     assert [line] == [c.text for r in table.rows for c in r.cells if "default dtype" in c.text]
     assert os.getcwd() == str(Path.cwd())
+
+
+def test_two_at_a_time_give_the_same_numbers(tmp_path: Path, mark: str) -> None:
+    """Fits with states that are drawn, and one that is optimised; fits and measures interleave."""
+    changes = {"materials": ["disney", "layered"], "seeds": [0, 1]}
+    path = suite(tmp_path / "s", mark, [], **changes)
+    path.write_text(path.read_text().replace("- cosine\n", "- cosine\n- blinn-phong\n"))
+    _, _, one = go(path, Options(limits=LIMITS), out="one")
+    code, text, two = go(path, Options(limits=LIMITS, workers=2), out="two")
+    assert code == 0, text
+    assert set(one) == set(two) and len(one) == 2 * 2 * 3 * 2
+    for key, trial in one.items():
+        assert two[key].status == trial.status == "ok"
+        assert two[key].state == trial.state, "fitted to the same bits"
+    for method in ("blinn-phong", "Good"):
+        assert numbers(one, method) == numbers(two, method) != {}
 
 
 def test_a_worker_that_is_killed_costs_nothing(tmp_path: Path, mark: str) -> None:
