@@ -31,12 +31,12 @@ def register(app: typer.Typer) -> None:
                 raise InputError(f"no such folder: {folder}")
         found = merged(folders, out)
         for folder, count in found.taken.items():
-            typer.echo(f"{folder}: {count} trial{'' if count == 1 else 's'} taken")
+            print(f"{folder}: {count} trial{'' if count == 1 else 's'} taken")
         for folder, keys in found.conflicts.items():
             more = ", ..." if len(keys) > 3 else ""
-            typer.echo(
+            print(
                 f"{folder}: {len(keys)} with other numbers than before, left: "
                 f"{', '.join(keys[:3])}{more}"
             )
         for machine, count in found.elsewhere.items():
-            typer.echo(f"{count} of another machine, kept apart: {machine}")
+            print(f"{count} of another machine, kept apart: {machine}")
