@@ -34,13 +34,11 @@ def register(app: typer.Typer) -> None:
             if metric:
                 raise InputError("--metric: not with --html, whose page can be filtered")
             from harness.report.page.comparison import comparison
+            from harness.report.place import write_page
 
             text = comparison([run, *again])
-            try:
-                out.write_text(text, encoding="utf-8")
-            except OSError as error:
-                raise InputError(f"--out {out}: cannot be written: {error.strerror}") from error
-            typer.echo(str(out))
+            write_page(out, text, "--out")
+            print(str(out))
             return
         if len(again) > 1:
             raise InputError(f"{again[1]}: two runs are compared; a history of more takes --html")
