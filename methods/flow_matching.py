@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import functools
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, ClassVar
@@ -17,6 +18,7 @@ from harness.core.protocol.errors import InputError, StateRefused, nearest
 from harness.core.protocol.material import Material
 from harness.core.protocol.method import Budget, FitReport, Knob
 from harness.fitting import flow_matching as losses
+from harness.fitting.drawn import Drawn
 from harness.fitting.flow_in_torch import FlowInTorch
 from harness.fitting.flow_steadiness import Steadiness, steadiness
 from harness.fitting.precision import PRECISIONS, checked_precision, round_weights
@@ -160,12 +162,14 @@ class FlowMatching(SteadyMethod, ColumnMethod):
         targets = Targets.build(material, budget, generator)
         self.prepare(targets)
         phases = self.phases()
+        # Made inside the first phase, so that its time counts.
+        drawn = functools.cache(lambda: Drawn(targets, budget.directions, generator))
         reports = []
         for i, phase in enumerate(phases):
             # The first takes what does not divide evenly.
             steps = budget.steps // len(phases) + (budget.steps % len(phases) if i == 0 else 0)
             part = replace(budget.less(targets.seconds, len(phases)), steps=steps)
-            loss = self._loss_of(phase, targets, part, generator)
+            loss = self._loss_of(phase, drawn, part, generator)
             reports.append(
                 minimise(
                     self.module,
@@ -188,23 +192,21 @@ class FlowMatching(SteadyMethod, ColumnMethod):
         return ["matching", *["reflow"] * self.reflow, *last]
 
     def _loss_of(
-        self, phase: str, targets: Targets, budget: Budget, generator: torch.Generator
+        self,
+        phase: str,
+        drawn: Callable[[], Drawn],
+        budget: Budget,
+        generator: torch.Generator,
     ) -> Callable[[], Tensor]:
         net = self.module
         if phase == "matching":
-            return lambda: losses.matching_loss(net, targets, budget, generator, self.pairing)
+            return lambda: losses.matching_loss(net, drawn(), budget, generator, self.pairing)
         if phase == "likelihood":
             return lambda: losses.likelihood_loss(
-                net, self.steps, self.solver, targets, budget, generator
+                net, self.steps, self.solver, drawn(), budget, generator
             )
-        pairs: list[losses.Pairs] = []
-
-        def loss() -> Tensor:
-            if not pairs:  # made inside the fit, so that their time counts
-                pairs.append(losses.Pairs.of(net, targets.condition, generator))
-            return pairs[0].loss(net, budget, generator)
-
-        return loss
+        pairs = functools.cache(lambda: losses.Pairs.of(net, drawn().condition, generator))
+        return lambda: pairs().loss(net, budget, generator)
 
     def log_prob(self, condition: Tensor, wo: Tensor) -> Tensor:
         """Log density [B, D]."""
