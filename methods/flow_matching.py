@@ -35,6 +35,8 @@ from harness.nets.mixture_base import BASES, ColumnMixture
 from harness.nets.solvers import SOLVERS
 
 TRAININGS = ("matching", "likelihood")
+_FELT = 2.0**-13
+"""Of a base point's deviations: a shift from which the determinant is another by some 1e-4."""
 
 
 class FlowMatching(SteadyMethod, ColumnMethod):
@@ -284,6 +286,7 @@ class FlowMatching(SteadyMethod, ColumnMethod):
 
         The rounding of the direction, which near the rim moves its place in the plane, is taken
         back to the base by the map's Jacobian: the density is the one at the rounded direction.
+        Where it moves by more than ``_FELT``, the map is run again from there, for its determinant.
         """
         net, flow = self.module, self.flow()
         at = net.at_columns(c)
@@ -295,9 +298,16 @@ class FlowMatching(SteadyMethod, ColumnMethod):
             there = defensive.uniform_disk_columns(u)
             wo = [dr.select(elsewhere, a, b) for a, b in zip(there, wo, strict=True)]
         place, slope = net.place_columns(at, wo)
-        away = [a - b for a, b in zip(place, moved.x, strict=True)]
-        shift = discrete_flow_columns.solve(moved.jacobian, away)
-        origin, det = [a + b for a, b in zip(x0, shift, strict=True)], moved.det
+        origin = _taken_back(x0, place, moved)
+        felt = sum(dr.square(a - b) for a, b in zip(origin, x0, strict=True)) > _FELT**2
+        if elsewhere is not None:
+            felt &= ~elsewhere
+        again = discrete_flow_columns.forward(flow, origin, at.shared, felt)
+        origin = [
+            dr.select(felt, a, b)
+            for a, b in zip(_taken_back(origin, place, again), origin, strict=True)
+        ]
+        det = dr.select(felt, again.det, moved.det)
         if elsewhere is not None:
             other = discrete_flow_columns.invert(flow, place, at.shared, elsewhere)
             det = dr.select(elsewhere, other.det, det)
@@ -330,6 +340,13 @@ class FlowMatching(SteadyMethod, ColumnMethod):
 
     def _mixed(self, pdf: Float, wo: Columns, base: ColumnMixture) -> Float:
         return pdf if self.domain == "plane" else defensive.mixed_columns(pdf, wo, base.share)
+
+
+def _taken_back(x: Columns, place: Columns, moved: discrete_flow_columns.ColumnMoved) -> Columns:
+    """What the map takes to ``place``, which is near to where it took ``x``."""
+    away = [a - b for a, b in zip(place, moved.x, strict=True)]
+    shift = discrete_flow_columns.solve(moved.jacobian, away)
+    return [a + b for a, b in zip(x, shift, strict=True)]
 
 
 def _joined(reports: list[FitReport], phases: list[str]) -> FitReport:
