@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import pytest
 
+from harness.mitsuba_runtime import variant
 from harness.runner.validity import Validity
 from harness.suite.load import load, names
 from harness.suite.plan import make_plan
+
+variant.use("cpu")
 
 NEEDS_FILES = {"measured"}
 """Suites on files of the user's own."""
