@@ -74,7 +74,7 @@ def _written(data: Any, rng: Random) -> bytes:
         return yaml.safe_dump(data, allow_unicode=rng.random() < 0.5).encode(
             "utf-8", "surrogatepass"
         )
-    except (yaml.YAMLError, ValueError):
+    except (yaml.YAMLError, ValueError, RecursionError):
         return json.dumps(data).encode("utf-8", "surrogatepass")
 
 

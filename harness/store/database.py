@@ -58,8 +58,10 @@ def is_ours(folder: Path) -> bool:
     return head[:16] == b"SQLite format 3\0" and int.from_bytes(head[68:72], "big") == MARK
 
 
-def connect(folder: Path, write: bool = False) -> sqlite3.Connection:
+def connect(folder: Path, write: bool = False, look: bool = True) -> sqlite3.Connection:
     """The open file of a results folder; with ``write`` it is made if it is not there.
+
+    Without ``look`` it is not looked at: for a reader of one of many arrays, in a folder that was.
 
     Raises:
         InputError: no results there, an older or newer format, not readable, not a database.
@@ -88,7 +90,8 @@ def connect(folder: Path, write: bool = False) -> sqlite3.Connection:
         connection.text_factory = lambda text: text.decode("utf-8", "replace")
         connection.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, _LONGEST)
         try:
-            _check(connection, folder, write)
+            if look:
+                _check(connection, folder, write)
         except BaseException:
             connection.close()
             raise

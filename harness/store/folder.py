@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import sqlite3
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
@@ -304,5 +304,5 @@ class ResultsFolder:
 
 
 def _arrays_of(folder: Path, key: str, kept: Mapping[str, str]) -> dict[str, np.ndarray]:
-    with ResultsFolder(folder) as results:
-        return results.arrays_named(key, kept)
+    with explained(folder), closing(connect(folder, look=False)) as connection:
+        return raw.read(connection, folder, key, kept)
