@@ -104,7 +104,8 @@ CHANGING = (
     Edit("neural", "harness/effects/transport.py", "bounces: int = 2", "bounces: int = 3"),
     # Measures and checks.
     Edit("pdf", "harness/measures/pdf.py", "conditions: int = 128", "conditions: int = 127"),
-    Edit("pdf", "harness/measures/pdf.py", "* (count / math.pi)", "* (1.001 * count / math.pi)"),
+    Edit("pdf", "harness/measures/pdf.py", "target = value[lit] / total[lit]",
+         "target = 1.001 * value[lit] / total[lit]"),
     Edit("walks", "harness/measures/sample_weights.py", "settings.samples * times",
          "settings.samples * times + 1"),
     Edit("render", "harness/measures/precise.py", "SEED = 424242", "SEED = 424243"),
