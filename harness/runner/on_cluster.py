@@ -55,14 +55,18 @@ def _answer(task: Task, device: str, limits: Limits, wanted: Callable[[], bool])
         slots = max(1, get_worker().state.nthreads)
         _locals[key] = Local(lambda text: None, device, 1, limits, share=slots)
     local = _locals[key]
-    local.submit(0, task)
-    while True:
-        for _, answer in local.wait():
-            return answer
-        if not wanted():
+    answer = None
+    try:
+        local.submit(0, task)
+        while answer is None:
+            answer = next((found for _, found in local.wait()), None)
+            if answer is None and not wanted():
+                return Answer(died="nobody waits for it any more")
+        return answer
+    finally:
+        if answer is None:  # whatever ended this ends what was begun
             local.__exit__()
             del _locals[key]
-            return Answer(died="nobody waits for it any more")
 
 
 def _is_wanted(worker: Worker) -> Callable[[], bool]:
