@@ -19,6 +19,7 @@ class Cosine(ColumnMethod):
     """
 
     name = "cosine"
+    in_one_kernel = True
     uniforms = 2
 
     def sample_columns(self, c: Columns, u: Columns) -> tuple[Float, Float, Float]:

@@ -20,7 +20,7 @@ from harness.importance_maps.database import Maps
 from harness.importance_maps.training import MapBatches
 from harness.nets import defensive, spline
 from harness.nets.coupling import CouplingNet
-from harness.nets.encoding import ConditionEncoder
+from harness.nets.encoding import ConditionEncoder, Encoded
 from harness.nets.extremes import FAR, held
 
 SUPERVISIONS = ("both", "likelihood", "map")
@@ -188,7 +188,7 @@ class ImportanceBaked(BakedMethod):
     def sample_columns(self, c: Columns, u: Columns) -> tuple[Float, Float, Float]:
         """See :meth:`ColumnMethod.sample_columns`."""
         net = self.module
-        encoded = net.encoder.columns(c)
+        encoded = net.encoder.encoded(c)
         a, b = (dr.fma(2, v, -1) for v in u[:2])
         elsewhere = u[2] < self.uniform
         there = defensive.uniform_disk_columns(u)
@@ -201,10 +201,10 @@ class ImportanceBaked(BakedMethod):
 
     def pdf_columns(self, c: Columns, wo: Columns) -> Float:
         """See :meth:`ColumnMethod.pdf_columns`."""
-        encoded = self.module.encoder.columns(c)
+        encoded = self.module.encoder.encoded(c)
         return self._density(encoded, self.module.y_given_x.columns(wo[0], encoded), *wo)
 
-    def _density(self, encoded: Columns, numbers: Columns, x: Float, y: Float) -> Float:
+    def _density(self, encoded: Encoded, numbers: Columns, x: Float, y: Float) -> Float:
         """Density at ``(x, y)``; ``numbers`` are G's, which depend on x alone."""
         chord = _chord(x)
         at = y / chord

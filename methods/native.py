@@ -23,6 +23,7 @@ class Native(ColumnMethod):
     """
 
     name = "native"
+    in_one_kernel = True
 
     def supports(self, material: Material) -> tuple[bool, str]:
         """Whether the material has a sampler of its own."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import ClassVar
 
 import drjit as dr
@@ -16,7 +17,7 @@ from harness.fitting.flow_method import FlowMethod
 from harness.fitting.precision import PRECISIONS, checked_precision
 from harness.nets import defensive, lobes, spline
 from harness.nets.coupling import CouplingNet, unit_normal_columns
-from harness.nets.encoding import ConditionEncoder
+from harness.nets.encoding import ConditionEncoder, Encoded
 from harness.nets.extremes import FAR, held
 from harness.nets.mlp import MLP
 
@@ -197,7 +198,7 @@ class NeuralSplineFlow(FlowMethod):
     def sample_columns(self, c: Columns, u: Columns) -> tuple[Float, Float, Float]:
         """See :meth:`ColumnMethod.sample_columns`."""
         net = self.module
-        encoded = net.encoder.columns(c)
+        encoded = net.encoder.encoded(c)
         mean, log_sigma, share = base = self._base(encoded)
         elsewhere = u[2] < share
         there = defensive.uniform_disk_columns(u)
@@ -207,21 +208,19 @@ class NeuralSplineFlow(FlowMethod):
         ]
         for i in range(self.couplings - 1, 0, -1):
             own, other = i % 2, 1 - i % 2
-            numbers = net.couplings[i].columns(at[other], encoded)
-            at[own], _ = spline.unwarp_columns(numbers, at[own])
+            at[own] = net.couplings[i].unwarp_columns(at[other], encoded, at[own])
         x, y = at
         y = dr.select(elsewhere, there[1], y)
-        numbers = net.x_given_y.columns(y, encoded)
-        x, _ = spline.unwarp_columns(numbers, x)
         chord = self._chord(y)
-        wo = [dr.select(elsewhere, there[0], x * chord), y]
-        return *wo, self._density(encoded, base, numbers, chord, wo)
+        place, *warped = net.x_given_y.draw_columns(y, encoded, x, elsewhere, there[0], chord)
+        return place, y, self._density(encoded, base, warped, chord, [place, y])
 
     def pdf_columns(self, c: Columns, wo: Columns) -> Float:
         """See :meth:`ColumnMethod.pdf_columns`."""
-        encoded = self.module.encoder.columns(c)
-        numbers = self.module.x_given_y.columns(wo[1], encoded)
-        return self._density(encoded, self._base(encoded), numbers, self._chord(wo[1]), wo)
+        encoded = self.module.encoder.encoded(c)
+        chord = self._chord(wo[1])
+        warped = self.module.x_given_y.warp_columns(wo[1], encoded, wo[0] / chord)
+        return self._density(encoded, self._base(encoded), warped, chord, wo)
 
     def _chord(self, y: Float) -> Float:
         """What x is divided by: half the disk's width at ``y``, or one."""
@@ -230,7 +229,7 @@ class NeuralSplineFlow(FlowMethod):
         squared = (1 - y) * (1 + y)
         return dr.sqrt(dr.select(squared > 0, squared, 1))
 
-    def _base(self, encoded: Columns) -> tuple[Columns, Columns, Float | float]:
+    def _base(self, encoded: Encoded) -> tuple[Columns, Columns, Float | float]:
         """The Gaussian's mean and log sigma, and the uniform share."""
         out = self.module.base.columns(encoded)
         share = self.uniform
@@ -240,19 +239,19 @@ class NeuralSplineFlow(FlowMethod):
 
     def _density(
         self,
-        encoded: Columns,
+        encoded: Encoded,
         base: tuple[Columns, Columns, Float | float],
-        numbers: Columns,
+        warped: Sequence[Float],
         chord: Float,
         wo: Columns,
     ) -> Float:
-        """Density at ``wo``; ``numbers`` are the first spline's, which depend on y alone."""
-        x, slope = spline.warp_columns(numbers, wo[0] / chord)
+        """Density at ``wo``; ``warped`` is what the first spline makes of it, and its slope."""
+        x, slope = warped
         at = [x, wo[1]]
         for i in range(1, self.couplings):
             own, other = i % 2, 1 - i % 2
             coupling = self.module.couplings[i]
-            at[own], slope_own = spline.warp_columns(coupling.columns(at[other], encoded), at[own])
+            at[own], slope_own = coupling.warp_columns(at[other], encoded, at[own])
             slope = slope * slope_own
         (mx, my), (sx, sy), share = base
         zx, zy = (at[0] - mx) * dr.exp(-sx), (at[1] - my) * dr.exp(-sy)

@@ -16,7 +16,7 @@ from harness.fitting.flow_method import FlowMethod
 from harness.fitting.precision import PRECISIONS, checked_precision
 from harness.nets import defensive, lobes
 from harness.nets.coupling import CouplingNet, unit_normal_columns
-from harness.nets.encoding import ConditionEncoder
+from harness.nets.encoding import ConditionEncoder, Encoded
 from harness.nets.extremes import FAR, held
 
 
@@ -159,7 +159,7 @@ class RealNVP(FlowMethod):
         of a thousand turns the rounding of ``x`` into a different ``x'``.
         """
         net = self.module
-        encoded = net.encoder.columns(c)
+        encoded = net.encoder.encoded(c)
         at = [
             dr.fma(z, dr.exp(type(z)(s)), m)
             for z, m, s in zip(unit_normal_columns(u), *self._base(), strict=True)
@@ -177,11 +177,11 @@ class RealNVP(FlowMethod):
 
     def pdf_columns(self, c: Columns, wo: Columns) -> Float:
         """See :meth:`ColumnMethod.pdf_columns`."""
-        encoded = self.module.encoder.columns(c)
+        encoded = self.module.encoder.encoded(c)
         affine = self._affine(self.module.x_given_y.columns(wo[1], encoded))
         return self._density(encoded, affine, *wo)
 
-    def _density(self, encoded: Columns, affine: tuple[Float, Float], x: Float, y: Float) -> Float:
+    def _density(self, encoded: Encoded, affine: tuple[Float, Float], x: Float, y: Float) -> Float:
         """Density at ``(x, y)``; ``affine`` is the first coupling's log scale and shift."""
         log_scale, shift = affine
         at = [dr.fma(x, dr.exp(log_scale), shift), y]

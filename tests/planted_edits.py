@@ -25,7 +25,7 @@ CHANGING = (
          "log_sigma(1.001 * out[..., first : first + 1])"),
     Edit("render", "harness/nets/lobes.py", "return _RANGE * dr.tanh(raw * (1 / _RANGE))",
          "return _RANGE * dr.tanh(raw * (1.001 / _RANGE))"),
-    Edit("render", "harness/nets/lobes.py", "_RANGE = 10.0", "_RANGE = 10.01"),
+    Edit("render", "harness/nets/lobes.py", "_RANGE = 10.0", "_RANGE = 11.0"),
     Edit("render", "harness/nets/encoding.py", "waves = [(2 * s * c, dr.fma(-2 * s, s, 1))",
          "waves = [(2 * s * c, dr.fma(-2.002 * s, s, 1))"),
     Edit("render", "harness/nets/activations.py", "[dr.maximum(v, SLOPES[name] * v) for v in x]",

@@ -12,6 +12,7 @@ from harness.measures.base import Outcome
 from harness.store import write
 from harness.store.damage import damage as damage_of
 from harness.store.folder import ResultsFolder
+from harness.store.lock import locked
 from harness.store.stored import Stored
 
 KEYS = ("0123456789abcdef", "fedcba9876543210", "00000000000000aa")
@@ -45,8 +46,7 @@ def save(store: ResultsFolder, key: str, number: int, noise: int = 0, image: boo
 
 def make(folder: Path, keys: Sequence[str] = KEYS, noise: int = 0) -> Path:
     """A store of these trials, all planned, numbered in order; those with noise have no image."""
-    folder.mkdir(parents=True, exist_ok=True)
-    with ResultsFolder(folder, write=True) as store:
+    with locked(folder), ResultsFolder(folder, write=True) as store:
         for number, key in enumerate(keys):
             save(store, key, number, noise, image=not noise)
         rows = [

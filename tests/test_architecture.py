@@ -12,9 +12,9 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 LAYERS = """
-    cli harness api bench runner report suite measures checks rendering scenes training materials
-    microgeometry geometry methods importance_maps fitting nets textures analysis store effects
-    mitsuba_runtime identity stats core
+    cli harness api fuzz bench runner report suite measures checks rendering scenes training
+    materials microgeometry geometry methods importance_maps fitting nets textures analysis store
+    effects mitsuba_runtime identity stats core
 """.split()
 """From the top down. A package imports itself and what stands after it; ``harness`` is the
 package's own ``__init__`` with the public names."""

@@ -146,8 +146,8 @@ def test_network_over_columns(drawn):
     # Sums of at most 20 products of size one, in another order.
     close = {"rtol": 1e-5, "atol": 1e-5}
     torch.testing.assert_close(through_columns(mlp.columns, x).view_as(expected), expected, **close)
-    scalar = through_columns(mlp._columns_scalar, x).view_as(expected)
-    torch.testing.assert_close(scalar, expected, **close)
+    looped = through_columns(mlp._columns_looped, x).view_as(expected)
+    torch.testing.assert_close(looped, expected, **close)
 
 
 def test_constant_input_column():
@@ -158,7 +158,7 @@ def test_constant_input_column():
     columns[1] = type(columns[0])(0.5)
     with torch.no_grad():
         expected = mlp(x)
-    for run in (mlp.columns, mlp._columns_scalar):
+    for run in (mlp.columns, mlp._columns_looped):
         torch.testing.assert_close(tensor_of(*run(columns), rows=9), expected, rtol=1e-5, atol=1e-6)
 
 
@@ -166,7 +166,7 @@ def test_nan_stays_in_its_row():
     """And is not swallowed by the activation."""
     mlp, x = net([3, 16, 2]), rand(9, 3)
     x[4, 1] = torch.nan
-    for run in (mlp.columns, mlp._columns_scalar):
+    for run in (mlp.columns, mlp._columns_looped):
         out = through_columns(run, x)
         assert out[torch.arange(9) != 4].isfinite().all()
         assert out[4].isnan().all()

@@ -14,6 +14,7 @@ from harness.microgeometry import descriptions
 from harness.microgeometry.description import parse
 from harness.microgeometry.expressions import Expression
 from harness.microgeometry.functions import FUNCTIONS
+from harness.microgeometry.walks import surfaces
 
 PLAIN = {"name": "x", "about": "a test", "colour": [{"colour": "#808080"}]}
 
@@ -31,12 +32,12 @@ def textures(surface) -> dict[str, np.ndarray]:
 
 
 def test_there_are_twelve_under_names_of_their_own():
-    names = descriptions.names()
+    names = surfaces.reliefs()
     assert len(names) == 12 and "leather" in names
     assert not set(names) & {*registry.names(), *registry.hard_names()}
 
 
-@pytest.mark.parametrize("name", descriptions.names())
+@pytest.mark.parametrize("name", surfaces.reliefs())
 def test_each_is_a_learnable_tile_without_a_seam(name):
     """The jump over the tile's edge is no greater than the jumps inside it."""
     surface = descriptions.load(name, resolution=128)

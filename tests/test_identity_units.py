@@ -104,6 +104,11 @@ def test_only_what_is_reached_counts(tmp_path):
     assert names(of(tmp_path, files, "ours.m:f")) == {"ours.m:f", "ours.m:A"}
 
 
+def test_a_name_in_a_class_may_be_the_module_s(tmp_path):
+    files = {"m": "A = 1\nB = 2\nclass C:\n    A = A\n    D = 3\n    E = D\n"}
+    assert names(of(tmp_path, files, "ours.m:C")) == {"ours.m:C", "ours.m:A"}
+
+
 def test_methods_are_reached_by_mention_alone(tmp_path):
     files = {
         "m": "class C:\n    def a(self): return 1\n    def b(self): return 2\n"

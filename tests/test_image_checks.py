@@ -122,9 +122,12 @@ def furnace_p(method: Method, material: Material, spp: int = 32) -> float:
 # --- the furnace -----------------------------------------------------------------------
 
 
-SAMPLERS = [name for name in registry.names() if registry.load(name).exact_pdf]
-"""Of any material. A random walk knows its own families alone, see test_random_walk; the
-published importance baking is biased and says so."""
+SAMPLERS = [
+    name for name in registry.names() if registry.load(name).exact_pdf and name != "puresample"
+]
+"""Of any material. A random walk knows its own families alone, see test_random_walk, and the
+sampler of materials learned from walks those alone, see test_puresample; the published importance
+baking is biased and says so."""
 
 
 DEAR = ("importance-baked", "flow-matching", "histogram-mixture", "neural-spline-flow", "realnvp")

@@ -23,8 +23,11 @@ from harness.stats.chisquare import sidak
 from tests.disk import compare
 from tests.materials import MATERIALS
 
-UNFITTED = {"cosine", "native", "random-walk", "tabulated", "flow-matching-fu2024"}
-WITHOUT = {"cosine", "native", "random-walk"}
+UNFITTED = {
+    *("cosine", "native", "random-walk", "tabulated"),
+    *("flow-matching-fu2024", "puresample"),
+}
+WITHOUT = {"cosine", "native", "random-walk", "puresample"}
 BUDGET = Budget(steps=40, conditions=64, directions=32, resolution=32, pool=256)
 TILTED = MATERIALS["tilted"]()
 

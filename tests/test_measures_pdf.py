@@ -11,6 +11,7 @@ from torch import Tensor
 
 from harness.analysis.records.slices import divergences
 from harness.fitting.targets import cells
+from harness.materials.hard.lobes import Lobe, Lobes
 from harness.mitsuba_runtime import variant
 from tests.fakes import FakeMaterial
 from tests.materials import Plain
@@ -64,6 +65,21 @@ def test_pdf_without_a_density():
     """A nan of the method is no number of the measure."""
     found = pdf(Nan(), FakeMaterial("grey"))
     assert math.isnan(found["kl"]) and math.isnan(found["chi2"]) and math.isnan(found["lost-share"])
+
+
+@pytest.mark.parametrize("sigma", [0.1, 0.01, 0.002])
+def test_a_narrow_peak_is_not_blurred(sigma):
+    """The entropy of a Gaussian is known; a cell of 32 a side is fifteen times the last one."""
+
+    class Spike(Lobes):
+        base = 0.0
+
+        def lobes(self, condition: Tensor) -> list[Lobe]:
+            """See :meth:`Lobes.lobes`."""
+            return [Lobe(1.0, sigma, 0.3 * condition[..., -2:])]
+
+    found = pdf(Uneven(), Spike("spike", {}))
+    assert found["kl"] == pytest.approx(math.log(0.5 / sigma**2) - 1, rel=0.004)
 
 
 def test_pdf_of_the_target_itself():

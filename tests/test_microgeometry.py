@@ -13,6 +13,7 @@ from harness.microgeometry import descriptions
 from harness.microgeometry.estimate import reflectance
 from harness.microgeometry.queries import _inside, draw, energy, integral, stratified, truth
 from harness.microgeometry.surface import Surface
+from harness.microgeometry.walks import surfaces
 from harness.textures.noise import fbm
 
 PAINT = {"type": "principled", "base_color": [0.5, 0.2, 0.1], "roughness": 0.4}
@@ -263,7 +264,7 @@ def test_answers_depend_on_row_and_seed_alone():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", descriptions.names())
+@pytest.mark.parametrize("name", surfaces.reliefs())
 def test_the_twelve_reflect_no_more_than_they_get(name):
     """Finite, not negative, and in the mean over places below one for light from all around."""
     surface, n = descriptions.load(name, resolution=128), 100_000

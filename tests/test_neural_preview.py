@@ -1,5 +1,7 @@
 """Pictures of a neural material beside its truth: how slices are shown."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 import torch
@@ -44,7 +46,7 @@ def test_where_a_preview_goes(tmp_path):
     from harness.cli.material import _png
 
     file = tmp_path / "leather.safetensors"
-    assert _png(None, file) is None
+    assert _png(None, file) == Path("leather-preview.png")
     assert _png(tmp_path / "new" / "x.png", file) == tmp_path / "new" / "x.png"
     assert _png(tmp_path, file) == tmp_path / "leather-preview.png"
     (tmp_path / "file").touch()

@@ -11,13 +11,13 @@ from harness.materials import registry
 from harness.materials.neural import storage
 from harness.materials.neural.files import shipped
 from harness.measures.levels import surface_of
-from harness.microgeometry import descriptions
+from harness.microgeometry.walks import surfaces
 
 NAMES = registry.neural_names()
 
 
 def test_every_description_is_trained():
-    assert set(NAMES) == set(descriptions.names())
+    assert set(NAMES) == set(surfaces.reliefs())
 
 
 @pytest.mark.parametrize(

@@ -12,8 +12,7 @@ from harness.cli.main import main
 from harness.core import registry
 from harness.core.protocol.errors import InputError
 from harness.identity.digests import Part, SourceDigest
-from harness.identity.ours import digests
-from harness.identity.source import covered, essence
+from harness.identity.ours import digest_of_class, digests
 from harness.suite import source_parts
 from tests.fakes import ADAPTERS
 
@@ -148,22 +147,15 @@ def test_code_of_a_lone_file_follows_its_neighbours(adapters: Path):
     assert code_of(f"{adapters}:Good").digest != before.digest
 
 
-def test_comments_and_docstrings_do_not_count():
-    plain = "def f(x):\n    return 'a # b' + x\n"
-    rich = (
-        '"""Doc."""\n\n# why\ndef f(x):  # inline\n    """More\n    lines."""\n\n'
-        "    return 'a # b' + x\n"
-    )
-    assert essence(plain) == essence(rich)
-    assert essence(plain) != essence(plain.replace("a #", "b #"))
-
-
-def test_covered_is_read_again_after_an_edit(tmp_path: Path):
+def test_a_lone_class_is_read_again_after_an_edit(tmp_path: Path):
     file = tmp_path / "x.py"
-    file.write_text("A = 1\n")
-    before = covered(file)
-    file.write_text("A = 1000\n")
-    assert covered(file) != before
+    file.write_text("from helper import A\n\nclass Plugin:\n    B = A\n")
+    (tmp_path / "helper.py").write_text("A = 1\n")
+    before = digest_of_class(file, "Plugin")
+    file.write_text("from helper import A\n\nclass Plugin:\n    B = A  # as there\n")
+    assert digest_of_class(file, "Plugin") == before
+    (tmp_path / "helper.py").write_text("A = 1000\n")
+    assert digest_of_class(file, "Plugin") != before
 
 
 def test_a_broken_entry_point_hides_no_other(tmp_path, monkeypatch, capsys):

@@ -329,6 +329,15 @@ def test_two_labels_share_a_trial(tmp_path: Path):
     assert len(frame[frame["method"] == "one"]) == len(frame[frame["method"] == "two"])
 
 
+@pytest.mark.parametrize("baseline", ["one", "two"])
+def test_a_second_label_of_the_baseline_is_timed_as_the_baseline(tmp_path: Path, baseline: str):
+    twice = [{"name": "adapters.py:Good", "label": x} for x in ("one", "two")]
+    methods = [*twice, "adapters.py:Named"]
+    assert go(tmp_path, materials=["fake-a"], methods=methods, baseline=baseline)[0] == 0
+    assert Clock.calls == [[baseline, "with-state"]]
+    assert set(rows(tmp_path, measure="clock")["method"]) == {"one", "two", "with-state"}
+
+
 def test_interrupt_stores_and_resumes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     original, calls = Probe.run, []
 

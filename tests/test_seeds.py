@@ -131,7 +131,7 @@ def test_spread_between_fits_is_told_from_noise():
 
 
 def test_table(tmp_path: Path):
-    """A row for each material and one for all; the reference and one seed have their reason."""
+    """Materials and all of them together; the reference has its reason, one seed has no table."""
     made = Made(seeds=(0, 1, 2), measures=("fit", "equal-time", "pdf"))
     table = part("tables", "training-seeds")(Results.load(made.write(tmp_path / "three")))
     assert [section.title for section in table.sections] == [
@@ -147,5 +147,4 @@ def test_table(tmp_path: Path):
     baseline = rows[0].cells[table.columns.index("improved-baseline")]
     assert baseline.missing == "the reference: one by definition"
     one = Made(measures=("fit", "pdf")).write(tmp_path / "one")
-    table = part("tables", "training-seeds")(Results.load(one))
-    assert {cell.missing for cell in table.sections[0].rows[0].cells} == {ONE_SEED}
+    assert str(part("tables", "training-seeds")(Results.load(one))).startswith(ONE_SEED)

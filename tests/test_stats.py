@@ -288,11 +288,20 @@ class TestCells:
 class TestDivergence:
     def test_known_values(self) -> None:
         p_star, p = np.array([3.0, 1.0]), np.array([2.0, 2.0])
-        assert kl_divergence(p_star, p, 0.5) == pytest.approx(
+        assert kl_divergence(p_star, p, 0.25) == pytest.approx(
             0.25 * (3 * math.log(1.5) + math.log(0.5))
         )
-        assert chi_square_divergence(p_star, p, 0.5) == pytest.approx((4.5 + 0.5) / 4 - 1)
+        assert chi_square_divergence(p_star, p, 0.25) == pytest.approx((4.5 + 0.5) / 4 - 1)
         assert mean_squared_error(p_star, p) == 1
+
+    def test_points_stand_for_what_they_say(self) -> None:
+        """A cell cut in two changes nothing; a larger one counts for more."""
+        p_star, p = np.array([3.0, 1.0]), np.array([2.0, 2.0])
+        twice = np.array([3.0, 3.0, 1.0]), np.array([2.0, 2.0, 2.0]), np.array([0.1, 0.15, 0.25])
+        for measure in (kl_divergence, chi_square_divergence, mean_squared_error, lost_share):
+            assert measure(*twice) == pytest.approx(measure(p_star, p, 0.25))
+        assert mean_squared_error([3.0, 2.0], [2.0, 2.0], [3.0, 1.0]) == 0.75
+        assert lost_share([1.0, 1.0], [0.0, 1.0], [3.0, 1.0]) == 0.75
 
     def test_nothing_is_floored(self) -> None:
         p_star, p = np.array([[1.0, 1.0], [2.0, 0.0]]), np.array([[2.0, 0.0], [1.0, 0.0]])

@@ -127,6 +127,7 @@ def test_no_folder_at_all(
 def test_a_lock_that_is_a_link_is_not_followed(tmp_path: Path):
     folder, theirs = stores.make(tmp_path / "out"), tmp_path / "theirs"
     theirs.write_text("theirs")
+    (folder / ".lock").unlink()
     (folder / ".lock").symlink_to(theirs)
     with pytest.raises(InputError, match="cannot be written"), locked(folder):
         pass

@@ -17,12 +17,12 @@ from zlib import crc32
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
 
 from harness.analysis.combine import Z95, Estimate
 from harness.analysis.marks import disturbed
 from harness.analysis.results import MethodColumn, Results
 from harness.stats.crossing import Crossing, crossing
+from harness.stats.distributions import t_quantile
 from harness.stats.levels import over_seeds_draws
 from harness.stats.log_estimate import FEWEST, log_mean, log_median
 
@@ -141,7 +141,7 @@ def _log_seconds(seconds: NDArray, seed: int) -> NDArray | str:
     rows = np.random.default_rng(seed).integers(n, size=(DRAWS, n))
     off = np.median(np.log(seconds)[rows], axis=1) - estimate.theta
     # Student's tail replaces the normal one, as in the interval of a median's logarithm.
-    student = stats.t.ppf(0.975, n - 1) / Z95
+    student = t_quantile(0.975, n - 1) / Z95
     return np.append(estimate.theta, estimate.theta + student * off)
 
 

@@ -7,7 +7,8 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import stats
+
+from harness.stats.distributions import t_quantile
 
 Z95 = 1.959963984540054
 """Normal quantile of a two-sided 95% interval."""
@@ -51,7 +52,7 @@ def over_seeds(estimates: list[Estimate]) -> Estimate:
     logs = _on_log_scale(estimates)
     centres = np.log(values) if logs else values
     middle = float(centres.mean())
-    half = float(stats.t.ppf(0.975, count - 1) * centres.std(ddof=1) / math.sqrt(count))
+    half = float(t_quantile(0.975, count - 1) * centres.std(ddof=1) / math.sqrt(count))
     back = math.exp if logs else float
     return Estimate(back(middle), back(middle - half), back(middle + half), notes(estimates))
 

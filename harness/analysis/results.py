@@ -70,6 +70,8 @@ class Results:
             plan, trials = store.plan(), store.trials()
             damaged = damage(store, trials).items()
             trials |= {key: _damaged(trials[key], why) for key, why in damaged if key in trials}
+            if lost := store.lost():
+                trials |= _lost(plan, trials, lost)
             trials = {key: renewed(trial) for key, trial in trials.items()}
             old = stale(store, trials) | changed_files(plan)
             found = pooled(plan, trials, baseline_of(plan))
@@ -185,7 +187,9 @@ class Results:
         return self._by_training(
             row
             for row in self.rows(measure, material, method, scene)
-            if row["metric"] == metric and row["status"] in SHOWN and not math.isnan(row["value"])
+            if row["metric"] == metric
+            and row["status"] in SHOWN
+            and not (math.isnan(row["value"]) or _one_sided(row))
         )
 
     def factor(self, found: Mapping[str, Factor]) -> Estimate | str:
@@ -335,6 +339,17 @@ def _bounded(rows: list[dict[str, Any]], metric: str) -> str:
 
 def _damaged(trial: Stored, why: str) -> Stored:
     return replace(trial, status="error", reason=why, records=[])
+
+
+def _lost(plan: Mapping[str, Any], there: Collection[str], why: str) -> dict[str, Stored]:
+    """Planned trials that are not there, where some were lost: nobody knows which."""
+    return {
+        row["trial"]: Stored(
+            row["trial"], row["identity"], {name: row[name] for name in LABELS}, "error", why
+        )
+        for row in plan["trials"]
+        if row["trial"] not in there
+    }
 
 
 def _why(rows: list[dict[str, Any]], measure: str, metric: str) -> str:

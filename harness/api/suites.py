@@ -49,15 +49,14 @@ def run(
         KeyboardInterrupt: the run was interrupted; what was measured is stored.
     """
     ready(device)
-    from rich.console import Console
-
     from harness.analysis.results import load_results
+    from harness.core.terminal import Screen
     from harness.runner.run import INTERRUPTED, Options
     from harness.runner.run import run as carry_out
 
     plan = _planned(_loaded(suite), profile, device)
     folder = Path(out) if out is not None else Path("results") / plan.suite
-    console = Console(highlight=False, file=io.StringIO() if quiet else sys.stderr)
+    console = Screen(highlight=False, file=io.StringIO() if quiet else sys.stderr)
     if carry_out(plan, folder, Options(only=only), console) == INTERRUPTED:
         raise KeyboardInterrupt
     return load_results(folder)

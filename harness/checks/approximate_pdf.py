@@ -12,7 +12,6 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
-from scipy import stats
 
 from harness.checks.evidence import evidence
 from harness.checks.finding import Finding, Verdict, rounded
@@ -28,6 +27,7 @@ from harness.checks.weights import (
 )
 from harness.core.protocol.disk import inside_disk, luminance
 from harness.core.protocol.method import Method
+from harness.stats.distributions import normal_isf
 from harness.stats.weights import efficiency
 
 OF_THE_DENSITY = ("integral", "samples-pdf", "tail", "mitsuba-chi2")
@@ -57,7 +57,7 @@ def check_approximate_pdf(subject: Subject, case: Case, alpha: float) -> Iterato
     whole = integral_of_f(found, seen, rng_of(subject.generator))
     expected, error = whole.total * seen.scale, whole.error * seen.scale
     mean, spread = float(weight.mean()), float(weight.std(ddof=1)) / math.sqrt(len(weight))
-    allowed = stats.norm.isf(alpha / 2) * math.hypot(spread, error) + ROUNDING * expected
+    allowed = normal_isf(alpha / 2) * math.hypot(spread, error) + ROUNDING * expected
     number = efficiency(weight) if mean > 0 else 0.0
     text = f"sample weights: mean {mean:.5g}, albedo {expected:.5g}; efficiency {number:.3g}"
     worst = {}

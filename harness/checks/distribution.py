@@ -6,7 +6,6 @@ import math
 
 import numpy as np
 import torch
-from scipy import stats
 from torch import Tensor
 
 from harness.checks.evidence import SAMPLES, Evidence, evidence
@@ -14,6 +13,7 @@ from harness.checks.finding import Finding, held, rounded
 from harness.checks.quadrature import square_to_hemisphere
 from harness.checks.subject import Case, Subject
 from harness.stats.chisquare import chi_square
+from harness.stats.distributions import normal_isf
 
 MASS_TOLERANCE = 5e-4
 """What single precision may cost a density's integral."""
@@ -30,7 +30,7 @@ def check_integral(subject: Subject, case: Case, alpha: float) -> Finding:
     if not error < 0.01:
         return Finding(name, case.name, "fail", f"no integral found: {total:.5f} +- {error:.2g}")
     noise = math.hypot(error, math.sqrt(valid * (1 - valid) / SAMPLES))
-    allowed = MASS_TOLERANCE + stats.norm.isf(alpha / 2) * noise
+    allowed = MASS_TOLERANCE + normal_isf(alpha / 2) * noise
     text = f"{total:.5f} +- {error:.1g} over the disk, {valid:.5f} of the samples valid"
     off = abs(total - valid)
     ok = off <= allowed

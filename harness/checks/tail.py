@@ -19,7 +19,6 @@ from collections.abc import Callable
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from scipy import stats
 from torch import Tensor
 
 from harness.checks.evidence import SAMPLES, evidence
@@ -34,6 +33,7 @@ from harness.checks.quadrature import (
 from harness.checks.subject import Case, Subject
 from harness.stats.cells import Cells
 from harness.stats.chisquare import sidak
+from harness.stats.distributions import binomial_cdf, binomial_sf, normal_isf
 
 TESTS = 1
 """Statistical tests per case; the unions share its level among them."""
@@ -132,10 +132,10 @@ def binomial(observed: int, n: int, mass: float, error: float, level: float) -> 
     The mass may be anything within its own interval of a tenth of ``level``; what is
     left, nine tenths, are the counts'.
     """
-    slack = stats.norm.isf(level / 20) * error + ROUNDING * mass
+    slack = normal_isf(level / 20) * error + ROUNDING * mass
     low, high = np.clip([mass - slack, mass + slack], 0, 1)
     # Too few against the least mass there may be, too many against the largest.
-    few, many = stats.binom.cdf(observed, n, low), stats.binom.sf(observed - 1, n, high)
+    few, many = binomial_cdf(observed, n, low), binomial_sf(observed - 1, n, high)
     return float(min(1.0, 2 * min(few, many) / 0.9))
 
 

@@ -19,7 +19,6 @@ from typing import NamedTuple
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from scipy import stats
 from torch import Tensor
 
 from harness.checks import peaks
@@ -31,6 +30,7 @@ from harness.checks.subject import Case, Subject
 from harness.core.protocol.disk import inside_disk
 from harness.core.protocol.method import DiskSample
 from harness.stats.cells import Cells
+from harness.stats.distributions import normal_isf
 from harness.stats.weights import bernstein, choose_cap, efficiency, hill
 
 TESTS = 2
@@ -204,7 +204,7 @@ def _weights(
     # Half of the level for the samples, half for the quadrature.
     allowed = (
         bernstein(capped.var(ddof=1), cap, len(weight), alpha / 2)
-        + stats.norm.isf(alpha / 4) * furnace.capped_error
+        + normal_isf(alpha / 4) * furnace.capped_error
         + ROUNDING * expected
     )
     number, said = efficiency(weight), ""
@@ -238,7 +238,7 @@ def tail_index(case: Case, weight: NDArray, alpha: float) -> Finding:
     if math.isinf(index):
         text = f"no tail: the largest 1/{TAILS[0]} of the weights are equal"
         return Finding("tail-index", case.name, "pass", text)
-    heavy = index + stats.norm.isf(alpha) * error < FINITE_VARIANCE
+    heavy = index + normal_isf(alpha) * error < FINITE_VARIANCE
     heavy = heavy and all(a < FINITE_VARIANCE for a, _ in tails)
     text = f"{index:.2f} +- {error:.2g}" + (": no finite variance" if heavy else "")
     verdict: Verdict = "degraded" if heavy else "pass"

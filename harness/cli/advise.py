@@ -37,4 +37,4 @@ def register(app: typer.Typer) -> None:
             raise InputError(f"no such folder: {results_dir}{nearest(results_dir.name, beside)}")
         for advice in reports.advise(results_dir, material, samples, scene, shipped):
             for line in advice.lines():
-                typer.echo(line)
+                print(line)

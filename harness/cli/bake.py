@@ -33,16 +33,23 @@ def register(app: typer.Typer) -> None:
         """Bake importance maps of random slices of a material, for fits that name the folder."""
         import time
 
-        from rich.console import Console
         from rich.progress import Progress
 
-        from harness.importance_maps.database import BakeSettings, bake_to
+        from harness.core.outputs import folder_to_fill
+        from harness.core.terminal import Screen
+        from harness.importance_maps.database import MANIFEST, BakeSettings, bake_to
         from harness.materials import registry
 
         chosen = registry.make(material)
         settings = BakeSettings(kind, resolution, slice_resolution, seed)
         folder = out or Path("importance-maps") / material
-        console, start = Console(), time.perf_counter()
+        folder_to_fill(
+            folder,
+            "--out",
+            lambda place: (place / MANIFEST).is_file(),
+            "a data base of importance maps",
+        )
+        console, start = Screen(), time.perf_counter()
         with Progress(console=console, transient=True) as progress:
             task = progress.add_task(f"{kind} maps of {material}", total=slices)
             made = bake_to(

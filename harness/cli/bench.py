@@ -23,18 +23,24 @@ def register(app: typer.Typer) -> None:
         effects: Annotated[
             bool, typer.Option("--effects", help="Scenes of one effect beside Mitsuba by hand.")
         ] = False,
+        profile: Annotated[
+            bool, typer.Option("--profile", help="Where a sample's nanoseconds go, on the CPU.")
+        ] = False,
     ) -> None:
         """Time samples, pdf queries and renders, beside Mitsuba's own path tracer."""
-        from rich.console import Console
         from rich.table import Table
 
         from harness.bench import effect_overhead
+        from harness.bench import profile as profiling
         from harness.bench.adapters import run
+        from harness.core.terminal import Screen
 
-        console = Console()
+        console = Screen()
         with console.status("preparing") as status:
             if effects:
                 rows = effect_overhead.run(device, rounds, status.update)
+            elif profile:
+                rows = profiling.run(methods, material, rounds, steps, status.update)
             else:
                 rows = run(methods, material, scene, device, rounds, steps, status.update)
         table = Table(title=rows.title, caption=rows.caption)

@@ -52,11 +52,10 @@ def check(
     or skip. Exit 1 if any fails. A correct adapter fails by chance less than once in a thousand
     runs.
     """
-    from rich.console import Console
-
     from harness.checks.plan import carry_out, make_plan
     from harness.core.protocol.errors import InputError, Unsupported
     from harness.core.registry import make
+    from harness.core.terminal import Screen
     from harness.mitsuba_runtime import variant
 
     given = parameters(param or [])
@@ -65,7 +64,7 @@ def check(
         material or (), case or (), property_ or (), everything=everything, mitsuba=mitsuba
     )
     variant.use(device)
-    console = Console(highlight=False, markup=False)
+    console = Screen(highlight=False, markup=False)
     again = ["harness", "check", method, *(f"--param={item}" for item in param or [])]
     ending = [f"--seed={seed}", f"--device={device}"]
     counts: Counter[str] = Counter()
@@ -124,19 +123,15 @@ def parameters(given: list[str]) -> dict[str, Any]:
     Raises:
         InputError: one is not of that form.
     """
-    import yaml
-
     from harness.core.protocol.errors import InputError
+    from harness.core.yamlfile import parse_yaml
 
     found = {}
     for item in given:
         key, equals, value = item.partition("=")
         if not (equals and key.isidentifier()):
             raise InputError(f"--param {item}: expected KEY=VALUE")
-        try:
-            found[key] = yaml.safe_load(value)
-        except yaml.YAMLError:
-            raise InputError(f"--param {item}: expected a value as in a suite") from None
+        found[key] = parse_yaml(value, f"--param {item}: expected a value as in a suite")
         if isinstance(found[key], str) and _EXPONENT.fullmatch(found[key]):
             # YAML takes 1e-3 for a text: it wants a point in it.
             found[key] = float(found[key])

@@ -33,20 +33,19 @@ def register(app: typer.Typer) -> None:
         if html:
             if metric:
                 raise InputError("--metric: not with --html, whose page can be filtered")
+            from harness.core.outputs import file_to_write
             from harness.report.page.comparison import comparison
+            from harness.report.page.shell import is_page
 
-            text = comparison([run, *again])
-            try:
-                out.write_text(text, encoding="utf-8")
-            except OSError as error:
-                raise InputError(f"--out {out}: cannot be written: {error.strerror}") from error
-            typer.echo(str(out))
+            file_to_write(out, "--out", is_page, "a page of harness compare")
+            out.write_text(comparison([run, *again]), encoding="utf-8")
+            print(str(out))
             return
         if len(again) > 1:
             raise InputError(f"{again[1]}: two runs are compared; a history of more takes --html")
         found, left_out = compared(run, again[0], tuple(metric or ()))
         for agreement in found:
             for line in agreement.lines():
-                typer.echo(line)
+                print(line)
         for reason in left_out:
-            typer.echo(f"left out: {reason}")
+            print(f"left out: {reason}")

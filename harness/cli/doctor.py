@@ -144,12 +144,26 @@ def gpu() -> Finding:
 
 
 def compiler() -> Finding:
-    """A C++ compiler, which only ``torch.compile`` wants."""
+    """A C++ compiler, for the compiled kernels and ``torch.compile``."""
     for command in filter(None, (os.environ.get("CXX"), "c++", "g++", "clang++")):
         if path := shutil.which(command):
             return Finding("C++ compiler", path)
-    advice = "only for torch.compile; Debian, Ubuntu: apt-get install g++"
+    advice = "not needed, but networks run faster with one; Debian, Ubuntu: apt-get install g++"
     return Finding("C++ compiler", "none", NOTE, advice)
+
+
+def kernels() -> Finding:
+    """The compiled kernels of networks over columns; built if they can be."""
+    from harness.core.compiled import library
+    from harness.core.protocol.errors import InputError
+
+    try:
+        reason = library.why_not()
+    except InputError as error:
+        return Finding("Compiled kernels", str(error), NOTE)
+    if reason:
+        return Finding("Compiled kernels", f"none: {reason}", NOTE, library.WITHOUT)
+    return Finding("Compiled kernels", library.name())
 
 
 def cores() -> Finding:
@@ -189,6 +203,8 @@ def examine() -> tuple[list[Finding], bool]:
     needed = [python(), torch(), drjit(), mitsuba()]
     library = llvm()
     rows = [*needed, library, gpu(), compiler(), cores(), memory()]
+    if all(row.status == OK for row in needed):
+        rows.append(kernels())
     renders: list[Finding] = []
     if all(row.status == OK for row in needed):
         from harness.mitsuba_runtime.variant import VARIANTS
@@ -203,9 +219,10 @@ def examine() -> tuple[list[Finding], bool]:
 
 def show(rows: list[Finding], able: bool) -> None:
     """Print the table and the verdict."""
-    from rich.console import Console
     from rich.table import Table
     from rich.text import Text
+
+    from harness.core.terminal import Screen
 
     colours = {OK: "green", NOTE: "yellow", MISSING: "bold red"}
     table = Table(box=None, pad_edge=False)
@@ -216,7 +233,7 @@ def show(rows: list[Finding], able: bool) -> None:
         table.add_row(row.name, status, Text(row.found))
         if row.advice:
             table.add_row("", "", Text(f"-> {row.advice}", style="italic"))
-    console = Console(highlight=False)
+    console = Screen(highlight=False)
     console.print(table)
     if able:
         console.print("This machine can run the main job: harness run suites/table2.yaml")

@@ -32,8 +32,8 @@ def register(app: typer.Typer) -> None:
         With --out harness/fitted they come with the harness: every run then takes such a fit for
         its own, with the time and the machine that it took, unless it is told to --refit.
         """
-        from rich.console import Console
-
+        from harness.core.outputs import file_to_write, folder_to_fill
+        from harness.core.terminal import Screen
         from harness.runner import shipped
         from harness.runner.only import parse
         from harness.runner.run import Options
@@ -45,11 +45,18 @@ def register(app: typer.Typer) -> None:
         again = failed_again(retry)
         plan = planned(load(suite), profile, device)
         folder = results or Path("results") / plan.suite
-        console = Console(highlight=False)
+        fits_folder = out or folder / "fitted"
+        console = Screen(highlight=False)
         chosen = f"{only},measure={FIT}" if only else f"measure={FIT}"
+        if out is not None:
+            folder_to_fill(out, "--out", shipped.is_folder_of_fits, "fitted samplers")
+            for trial in plan.trials:
+                if trial.measure == FIT and (out / shipped.name_of(trial)).exists():
+                    name = out / shipped.name_of(trial)
+                    file_to_write(name, "--out: in it", shipped.is_fit, "a fitted sampler")
         status = carry_out(plan, folder, Options(chosen, "local", again, refit=True), console)
         # An interrupted run, too, leaves fits that are finished.
-        wanted, fits_folder = parse(chosen, plan), out or folder / "fitted"
+        wanted = parse(chosen, plan)
         with ResultsFolder(folder) as store:
             there = store.trials()
         fits = [t for t in plan.trials if t in wanted and t.hash in there]

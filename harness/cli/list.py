@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -37,8 +37,7 @@ def _registry(kind: str) -> tuple[list[str], Callable[[str], str]]:
     if kind == "materials":
         from harness.materials import registry as materials
 
-        named = [*materials.neural_names(), *materials.names(), *materials.family_names()]
-        return named, materials.describe
+        return _materials(materials)
     if kind == "scenes":
         from harness.scenes import registry as scenes
 
@@ -59,3 +58,18 @@ def _registry(kind: str) -> tuple[list[str], Callable[[str], str]]:
     from harness.suite import load
 
     return load.names(), load.describe
+
+
+def _materials(known: Any) -> tuple[list[str], Callable[[str], str]]:
+    """Materials, and described surfaces that a training by walks makes one of."""
+    from harness.microgeometry.walks import surfaces
+
+    made = [*known.neural_names(), *known.puresample_names(), *known.names(), *known.family_names()]
+    described = [name for name in surfaces.names() if name not in made]
+
+    def describe(name: str) -> str:
+        if name in described:
+            return f"{surfaces.about(name)} (harness material train {name} --kind puresample)"
+        return known.describe(name)
+
+    return [*made, *described], describe

@@ -2,20 +2,30 @@
 
 from __future__ import annotations
 
+import errno
 import sys
 from collections.abc import Sequence
+from contextlib import suppress
 from importlib import import_module
 from typing import Annotated
 
 import typer
 
+from harness.core.text import one_line
+
 VERBS = (
     *("run", "report", "status", "compare", "advise", "tune"),
     *("list", "check", "validate", "new", "doctor", "bench", "effects"),
-    *("fit", "material", "bake"),
+    *("fit", "material", "bake", "fuzz"),
 )
-REFUSED = 2
+FAILED, REFUSED = 1, 2
 INTERRUPTED = 130
+
+_OF_THE_MACHINE = (
+    errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EIO, errno.EACCES, errno.EPERM, errno.EMFILE,
+    errno.ENFILE, errno.ENAMETOOLONG, errno.EFBIG, errno.ESTALE,
+)  # fmt: skip
+"""Errors of a disk or of rights, which no other code would be free of."""
 
 # Typer brings its own Click or uses the installed one, by version; both name it alike.
 ClickException = next(c for c in typer.BadParameter.__mro__ if c.__name__ == "ClickException")
@@ -47,7 +57,22 @@ def build(verb: str = "") -> typer.Typer:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run the command line; returns the exit status."""
+    """Run the command line; returns the exit status.
+
+    What is printed is printable; an output that cannot be written to is one line and status 1, and
+    so is a disk that is full or read-only.
+    """
+    from harness.core import terminal
+
+    try:
+        with terminal.guarded():
+            return _carried_out(argv)
+    except terminal.OutputLost as error:
+        terminal.give_up(sys.stdout)
+        return _refuse(f"the output cannot be written: {error}; what was stored is kept", FAILED)
+
+
+def _carried_out(argv: Sequence[str] | None) -> int:
     arguments = list(sys.argv[1:] if argv is None else argv)
     verb = next((word for word in arguments if not word.startswith("-")), "")
     command = typer.main.get_command(build(verb))
@@ -69,6 +94,9 @@ def main(argv: Sequence[str] | None = None) -> int:
 
         if isinstance(error, InputError):
             return _refuse(str(error))
+        if isinstance(error, OSError) and error.errno in _OF_THE_MACHINE:
+            place = f"{error.filename}: " if error.filename else ""
+            return _refuse(f"{place}{error.strerror}", FAILED)
         raise
 
 
@@ -80,6 +108,7 @@ def _version(wanted: bool) -> None:
         raise typer.Exit
 
 
-def _refuse(text: str) -> int:
-    print(f"error: {' '.join(text.split())}", file=sys.stderr)
-    return REFUSED
+def _refuse(text: str, status: int = REFUSED) -> int:
+    with suppress(OSError, ValueError):  # nobody may be there to be told
+        print(f"error: {one_line(text)}", file=sys.stderr, flush=True)
+    return status

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 from typing import Annotated
 
@@ -20,8 +19,15 @@ def register(app: typer.Typer) -> None:
     def train(
         description: Annotated[str, typer.Argument(help="Microgeometry: a .yaml file or a name.")],
         out: Annotated[Path, typer.Option(help="File to write: NAME.safetensors.")],
+        kind: Annotated[
+            str, typer.Option(help="neural (from evaluations) or puresample (from walks).")
+        ] = "neural",
         profile: Annotated[
-            str, typer.Option(help="quick, relief, deep or full; quick- or full-pyramid.")
+            str,
+            typer.Option(
+                help="quick, relief, deep or full; quick- or full-pyramid. Of puresample: quick,"
+                " fine, full; quick- or full-texture."
+            ),
         ] = "quick",
         set_: Annotated[
             list[str] | None,
@@ -34,14 +40,20 @@ def register(app: typer.Typer) -> None:
         resume: Annotated[bool, typer.Option("--resume", help="Go on from OUT's .train.")] = False,
         device: Annotated[str, typer.Option(help="cpu or cuda.")] = "cpu",
     ) -> None:
-        """Trace queries of a surface, fit the network to them, and store it with its record."""
-        from rich.console import Console
+        """Trace queries or walks of a surface, fit networks to them, store them with a record."""
         from rich.progress import Progress
 
-        from harness.training import recipe
+        from harness.core.outputs import file_to_write
+        from harness.core.terminal import Screen
+        from harness.training import kinds
 
+        kinds.check(kind, description, resume)
         _ready(device)
-        console = Console()
+        if out.suffix == ".safetensors":  # else the recipe says what it has to be
+            file_to_write(out, "--out", _is_ours, "a material of harness material train")
+            under_way = out.with_suffix(".train")
+            file_to_write(under_way, "--out: beside it", _is_training, "a training under way")
+        console = Screen()
         with Progress(console=console) as progress:
             task = progress.add_task("", total=1.0)
 
@@ -49,10 +61,12 @@ def register(app: typer.Typer) -> None:
                 progress.update(task, description=text, completed=share)
 
             try:
-                recipe.train(description, out, profile, seed, device, resume, notify, set_ or ())
+                kinds.train(
+                    kind, description, out, profile, seed, device, resume, notify, set_ or ()
+                )
             except KeyboardInterrupt:
                 progress.stop()
-                console.print(f"interrupted; --resume goes on from {out.with_suffix('.train')}")
+                console.print(kinds.interrupted(kind, out))
                 raise typer.Exit(INTERRUPTED) from None
         _show(console, [out])
 
@@ -63,14 +77,13 @@ def register(app: typer.Typer) -> None:
         device: Annotated[str, typer.Option(help="cpu or cuda.")] = "cpu",
     ) -> None:
         """Print where a surface is too fine for a texture, before any training."""
-        from rich.console import Console
-
+        from harness.core.terminal import Screen
         from harness.microgeometry import descriptions
         from harness.training import report
 
         _ready(device)
         surfaces = [descriptions.load(name) for name in names]
-        Console().print(report.detail(surfaces, resolution, device))
+        Screen().print(report.detail(surfaces, resolution, device))
 
     @material.command()
     def show(
@@ -79,11 +92,11 @@ def register(app: typer.Typer) -> None:
         ] = None,
     ) -> None:
         """Print how materials were trained and how well they answer."""
-        from rich.console import Console
+        from harness.core.terminal import Screen
+        from harness.training import kinds
 
-        from harness.materials.neural.files import shipped
-
-        _show(Console(), [_file(name) for name in names] if names else list(shipped().values()))
+        known = list(kinds.shipped().values())
+        _show(Screen(), [_file(name) for name in names] if names else known)
 
     @material.command()
     def measure(
@@ -92,14 +105,13 @@ def register(app: typer.Typer) -> None:
         device: Annotated[str, typer.Option(help="cpu or cuda.")] = "cpu",
     ) -> None:
         """Measure a material's errors again and rewrite its record; its tensors stay."""
-        from rich.console import Console
-
-        from harness.training import recipe
+        from harness.core.terminal import Screen
+        from harness.training import kinds
 
         _ready(device)
         file = _file(name)
-        recipe.measure(file, seed, device)
-        _show(Console(), [file])
+        kinds.measure(file, seed, device)
+        _show(Screen(), [file])
 
     @material.command()
     def refine(
@@ -108,13 +120,13 @@ def register(app: typer.Typer) -> None:
         device: Annotated[str, typer.Option(help="cpu or cuda.")] = "cpu",
     ) -> None:
         """Teach a stored material energies, as a training's end does; rewrites its file."""
-        from rich.console import Console
         from rich.progress import Progress
 
+        from harness.core.terminal import Screen
         from harness.training import recipe
 
         _ready(device)
-        file, console = _file(name), Console()
+        file, console = _file(name), Screen()
         with Progress(console=console) as progress:
             task = progress.add_task("", total=1.0)
             recipe.refine(
@@ -137,14 +149,13 @@ def register(app: typer.Typer) -> None:
         device: Annotated[str, typer.Option(help="cpu or cuda.")] = "cpu",
     ) -> None:
         """Draw sphere, plane and slices of a material beside the path-traced truth."""
-        from rich.console import Console
-
-        from harness.training import preview as pictures
+        from harness.core.terminal import Screen
+        from harness.training import kinds
 
         _ready(device)
         file = _file(name)
-        written = pictures.write(file, description, _png(out, file), size, spp, device)
-        Console(highlight=False).print(f"{written}", soft_wrap=True)
+        written = kinds.preview(file, description, _png(out, file), size, spp, device)
+        Screen(highlight=False).print(f"{written}", soft_wrap=True)
 
     @material.command()
     def bench(
@@ -154,31 +165,43 @@ def register(app: typer.Typer) -> None:
         device: Annotated[str, typer.Option(help="cpu or cuda.")] = "cpu",
     ) -> None:
         """Time both stages beside a bare torch network of the decoder's size, in one run."""
-        from rich.console import Console
-
-        from harness.bench import neural as timing
+        from harness.bench import neural, puresample
+        from harness.core.terminal import Screen
+        from harness.materials.puresample.files import is_one
 
         _ready(device)
-        Console().print(timing.table(_file(name), rows, rounds, device))
+        file = _file(name)
+        timing = puresample if is_one(file) else neural
+        Screen().print(timing.table(file, rows, rounds, device))
 
 
-def _png(out: Path | None, file: Path) -> Path | None:
+def _png(out: Path | None, file: Path) -> Path:
     """Where the picture goes; a folder gets NAME-preview.png. Asked before anything is traced."""
+    from harness.core.outputs import file_to_write
+    from harness.core.pictures import marked
     from harness.core.protocol.errors import InputError
 
-    if out is None:
-        return None
-    if out.is_dir():
-        out = out / f"{file.stem}-preview.png"
+    if out == Path():
+        raise InputError("--out: expected a name that ends in .png, or a folder")
+    if out is None or out.is_dir():
+        out = (out or Path()) / f"{file.stem}-preview.png"
     if out.suffix.lower() != ".png":
         raise InputError(f"--out {out}: expected a name that ends in .png, or a folder")
-    try:
-        out.parent.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"--out {out}: cannot be written: {error.strerror}") from None
-    if not os.access(out if out.exists() else out.parent, os.W_OK):
-        raise InputError(f"--out {out}: cannot be written: no permission")
-    return out
+    return file_to_write(out, "--out", marked, "a picture of this command")
+
+
+def _is_ours(path: Path) -> bool:
+    from harness.materials.neural import storage
+    from harness.materials.puresample.files import is_one
+
+    return is_one(path) or bool(storage.metadata(path))  # refuses what is not in our format
+
+
+def _is_training(path: Path) -> bool:
+    import zipfile
+
+    with zipfile.ZipFile(path) as archive:
+        return any(name.endswith("/data.pkl") for name in archive.namelist())
 
 
 def _ready(device: str) -> None:
@@ -189,18 +212,13 @@ def _ready(device: str) -> None:
 
 def _file(name: str) -> Path:
     """A shipped material's file, or the file itself."""
-    from harness.core.protocol.errors import InputError, nearest
-    from harness.materials.neural.files import SUFFIXES, check, shipped
+    from harness.training import kinds
 
-    if name in shipped():
-        return shipped()[name]
-    if Path(name).suffix not in SUFFIXES:
-        raise InputError(f"unknown neural material '{name}'{nearest(name, shipped())}")
-    check(Path(name), f"material '{name}'")
-    return Path(name)
+    return kinds.file_of(name)
 
 
 def _show(console, files: list[Path]) -> None:
-    from harness.training.report import table
+    from harness.training import kinds
 
-    console.print(table(files))
+    for table in kinds.tables(files):
+        console.print(table)

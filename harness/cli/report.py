@@ -26,15 +26,14 @@ def register(app: typer.Typer) -> None:
         Of a folder of several results, an index over them, and their own pages where these are
         missing or older than the results.
         """
-        from rich.console import Console
-
         from harness.core.protocol.errors import InputError, nearest
+        from harness.core.terminal import Screen
         from harness.store.database import FILE, OLD_PLAN
 
         if not results_dir.is_dir():
             beside = [p.parent.name for p in results_dir.parent.glob("*/results.sqlite")]
             raise InputError(f"no such folder: {results_dir}{nearest(results_dir.name, beside)}")
-        console = Console(highlight=False)
+        console = Screen(highlight=False)
 
         def say(text: str) -> None:
             console.print(text, soft_wrap=True, markup=False)
@@ -60,13 +59,15 @@ def _report(results_dir: Path, console: object, say: Callable[[str], None]) -> P
 
 
 def _index(place: Path, say: Callable[[str], None]) -> Path:
+    from harness.core.outputs import file_to_write
     from harness.report import write as reports
     from harness.report.page.index import index
+    from harness.report.page.shell import is_page
 
+    page = file_to_write(place / "index.html", "the index", is_page, "a page of harness report")
     text, old = index(place)
     for folder in old:
         say(str(reports.load(folder).write()[0]))
-    page = place / "index.html"
     page.write_text(text, encoding="utf-8")
     say(str(page))
     return page

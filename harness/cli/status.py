@@ -35,10 +35,10 @@ def register(app: typer.Typer) -> None:
         for folder in found:
             one = statuses.status(folder)
             fine &= one.all_valid
-            typer.echo(one.line())
+            print(one.line())
             for reason, count in one.reasons.most_common():
-                typer.echo(f"  {count} x {reason}")
+                print(f"  {count} x {reason}")
             for trial in one.failed if failed else ():
                 labels = " · ".join(str(v) for v in trial.labels.values() if v != "")
-                typer.echo(f"  {trial.hash} {labels}\n{trial.traceback or trial.reason}")
+                print(f"  {trial.hash} {labels}\n{trial.traceback or trial.reason}")
         raise typer.Exit(0 if fine else 1)

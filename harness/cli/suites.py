@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -40,16 +41,19 @@ def planned(loaded: Loaded, profile: str | None, device: str) -> Plan:
     from harness.suite.plan import make_plan
 
     preflight.ready(device)
-    return make_plan(loaded, profile, device, shipped.find)
+    plan = make_plan(loaded, profile, device, shipped.find)
+    for said in dict.fromkeys(map(shipped.damaged, plan.trials)):
+        if said:
+            print(said, file=sys.stderr, flush=True)
+    return plan
 
 
 def run_and_report(plan: Plan, results: Path, options: Options) -> int:
     """Carry out what is not stored, then write the report and print its tables; the exit status."""
-    from rich.console import Console
-
+    from harness.core.terminal import Screen
     from harness.runner.run import INTERRUPTED, run
 
-    console = Console(highlight=False)
+    console = Screen(highlight=False)
     status = run(plan, results, options, console)
     if not options.dry_run and status != INTERRUPTED:
         from harness.report import write as reports

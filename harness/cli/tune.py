@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from harness.cli.suites import Device, Profile, Suite
+
+_MARK = "# Written by: harness tune"
+"""Begins a file of this command."""
 
 
 def register(app: typer.Typer) -> None:
@@ -38,6 +42,7 @@ def register(app: typer.Typer) -> None:
         from harness.cli.suites import planned
         from harness.core import machine
         from harness.core.jsonfile import write_text
+        from harness.core.outputs import file_to_write
         from harness.core.protocol.errors import InputError, nearest
         from harness.runner import tuning
         from harness.suite.load import load
@@ -47,6 +52,7 @@ def register(app: typer.Typer) -> None:
         target = out or (loaded.path.parent / loaded.suite.tuned if loaded.suite.tuned else None)
         if target is None:
             raise InputError(f"{suite}: names no file under 'tuned'; expected --out FILE")
+        file_to_write(target, "--out", _of_tune, "a file of harness tune")
         plan = planned(loaded, profile, device)
         known = plan.labels("material")
         wanted = material.split(",") if material else known[:1]
@@ -58,7 +64,8 @@ def register(app: typer.Typer) -> None:
             t for t in plan.trials
             if t.measure == FIT and t.seed == first and t.material in wanted
         ]  # fmt: skip
-        found = tuning.tune(fits, plan.resolved.material, trials, seconds, typer.echo)
+        say = partial(print, flush=True)
+        found = tuning.tune(fits, plan.resolved.material, trials, seconds, say)
         data = {
             "suite": plan.suite,
             "seconds": seconds,
@@ -75,6 +82,10 @@ def register(app: typer.Typer) -> None:
             },
         }
         text = yaml.safe_dump(data, sort_keys=False, width=100, default_flow_style=None)
-        target.parent.mkdir(parents=True, exist_ok=True)
-        write_text(target, f"# Written by: harness tune {plan.suite}\n{text.rstrip()}")
-        typer.echo(f"{target}: the best of {trials} forms of {len(found)} methods")
+        write_text(target, f"{_MARK} {plan.suite}\n{text.rstrip()}")
+        print(f"{target}: the best of {trials} forms of {len(found)} methods")
+
+
+def _of_tune(path: Path) -> bool:
+    with path.open(encoding="utf-8") as file:
+        return file.read(len(_MARK)) == _MARK

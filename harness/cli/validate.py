@@ -33,7 +33,7 @@ def register(app: typer.Typer) -> None:
             rehearsal.check(loaded, device)
         except Mistakes as error:
             for line in error.lines:
-                print(f"error: {' '.join(line.split())}", file=sys.stderr)
+                print(f"error: {line}", file=sys.stderr)
             raise typer.Exit(2) from None
         for profile in loaded.suite.profiles or (None,):
             plan = make_plan(loaded, profile, device)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import os
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -25,8 +26,7 @@ class Declared:
 def declared(file: Path) -> list[Declared]:
     """Top-level classes of ``file``; none if it is not valid Python (importing it will say so)."""
     try:
-        stamp = file.stat()
-        return list(_declared(file, (stamp.st_mtime_ns, stamp.st_size)))
+        return list(_declared(file, _stamp(file)))
     except (OSError, ValueError, SyntaxError):
         return []
 
@@ -48,10 +48,30 @@ def named(folder: Path) -> dict[str, Declared]:
 
     Files whose name starts with ``_`` are helpers and are left out.
     """
+    with os.scandir(folder) as entries:
+        stamps = sorted(
+            (entry.name, _stamp(entry))
+            for entry in entries
+            if entry.name.endswith(".py") and not entry.name.startswith("_")
+        )
+    return dict(_named(folder, tuple(stamps)))
+
+
+def _stamp(file: Path | os.DirEntry[str]) -> tuple[int, int]:
+    """Changes when the file does; zeros for a link to nothing."""
+    try:
+        stat = file.stat()
+    except FileNotFoundError:
+        return 0, 0
+    return stat.st_mtime_ns, stat.st_size
+
+
+@lru_cache(maxsize=16)
+def _named(folder: Path, stamps: tuple[tuple[str, tuple[int, int]], ...]) -> dict[str, Declared]:
+    """Remembered until a file of the folder comes, goes or changes: ``stamps`` tells."""
     found: dict[str, Declared] = {}
-    for file in sorted(folder.glob("*.py")):
-        if not file.name.startswith("_"):
-            found |= {item.name: item for item in declared(file) if item.name}
+    for name, _ in stamps:
+        found |= {item.name: item for item in declared(folder / name) if item.name}
     return found
 
 

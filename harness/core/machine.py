@@ -30,8 +30,17 @@ def describe(device: str = "cpu") -> dict[str, Any]:
         "machine": {**identity(device), "os": f"{platform.system()} {platform.machine()}"},
         "python": platform.python_version(),
         "versions": versions(NOTED_VERSIONS, local=True),
+        "kernels": kernels(),
         "device": device,
     }
+
+
+def kernels() -> str:
+    """What runs networks over columns on the CPU: compiled kernels, or Dr.Jit and why."""
+    from harness.core.compiled import library
+
+    reason = library.why_not()
+    return f"Dr.Jit; no compiled kernels: {reason}" if reason else f"compiled for {library.name()}"
 
 
 def versions(packages: tuple[str, ...] = COUNTED_VERSIONS, local: bool = False) -> dict[str, str]:

@@ -7,7 +7,14 @@ from typing import Any
 
 import yaml
 
+from harness.core.plain import DEPTH, check_plain
 from harness.core.protocol.errors import InputError
+from harness.core.text import one_line
+
+_KEYS = 10_000
+"""Of one mapping, with those that it merges."""
+BYTES = 2**18
+"""Of a file; the largest of the project has a fiftieth of that."""
 
 
 def read_yaml(path: Path, expected: str) -> Any:
@@ -15,8 +22,17 @@ def read_yaml(path: Path, expected: str) -> Any:
 
     ``expected`` completes the refusal, as in "expected a suite in YAML".
     """
+    return parse_yaml(read_text(path, expected), str(path))
+
+
+def read_text(path: Path, expected: str) -> str:
+    """The text of a file of at most ``BYTES``; see :func:`read_yaml`."""
     try:
-        return parse_yaml(path.read_text(encoding="utf-8"), str(path))
+        with path.open("rb") as file:
+            content = file.read(BYTES + 1)
+        if len(content) > BYTES:
+            raise InputError(f"{path}: more than {BYTES:,} bytes; expected {expected}")
+        return content.decode("utf-8").replace("\r\n", "\n")
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror}") from None
     except UnicodeDecodeError:
@@ -24,15 +40,43 @@ def read_yaml(path: Path, expected: str) -> Any:
 
 
 def parse_yaml(text: str, where: str) -> Any:
-    """The data in ``text``, which came from ``where``."""
+    """The data in ``text``, which came from ``where``: plain data (:mod:`harness.core.plain`)."""
     try:
-        return yaml.load(text, Loader=UniqueKeys)
+        data = yaml.load(text, Loader=UniqueKeys)
     except yaml.YAMLError as error:
         raise InputError(f"{where}{_position(error)}: not valid YAML: {_problem(error)}") from None
+    except RecursionError:
+        raise InputError(f"{where}: not valid YAML: something lies within itself") from None
+    except (ValueError, OverflowError) as error:
+        # A date of no calendar, a number of more digits than can be read.
+        said = one_line(str(error))[:100]
+        raise InputError(f"{where}: not valid YAML: a value cannot be read: {said}") from None
+    check_plain(data, where)
+    return data
 
 
 class UniqueKeys(yaml.SafeLoader):
-    """YAML in which a key may be given once."""
+    """YAML in which a key may be given once, and nothing lies within itself or very deep."""
+
+    def __init__(self, stream: Any):
+        super().__init__(stream)
+        self._depth = 0
+
+    def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
+        self._depth += 1
+        if self._depth > 4 * DEPTH:
+            what = f"lists and mappings more than {DEPTH} deep"
+            raise yaml.composer.ComposerError(None, None, what, self.peek_event().start_mark)
+        try:
+            return super().compose_node(parent, index)
+        finally:
+            self._depth -= 1
+
+    def flatten_mapping(self, node: yaml.MappingNode) -> None:
+        super().flatten_mapping(node)
+        if len(node.value) > _KEYS:
+            what = f"a mapping of more than {_KEYS:,} keys"
+            raise yaml.constructor.ConstructorError(None, None, what, node.start_mark)
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict:
         seen = set()
@@ -51,4 +95,5 @@ def _position(error: yaml.YAMLError) -> str:
 
 
 def _problem(error: yaml.YAMLError) -> str:
-    return (getattr(error, "problem", None) or str(error)).partition("\n")[0]
+    said = getattr(error, "problem", None) or getattr(error, "reason", None) or str(error)
+    return one_line(said.partition("\n")[0])[:200]

@@ -8,9 +8,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-import yaml
-
 from harness.core.protocol.errors import InputError, nearest
+from harness.core.yamlfile import parse_yaml
 from harness.effects import lights, materials, transport
 from harness.effects.auto import AUTO, read_auto
 from harness.effects.base import LIGHTS, Effect, Offer, Recipe
@@ -105,7 +104,7 @@ def _one(item: Any, where: str) -> Effect:
     if isinstance(item, str) and ":" in item:
         # A scene's own text; its value is read as YAML would.
         name, _, value = item.partition(":")
-        item = {name.strip(): yaml.safe_load(value)}
+        item = {name.strip(): parse_yaml(value, where)}
     if isinstance(item, Mapping) and len(item) == 1:
         name, value = next(iter(item.items()))
     else:

@@ -84,7 +84,7 @@ class Targets:
             condition = material.conditions(budget.pool, own, budget.device)
             found = []
             for rows in condition.split(max(1, _AT_A_TIME // count)):
-                found.append(_drawn(material, rows, count, own))
+                found.append(quadrature(material, rows, count, own))
             wo, value, area = (torch.cat(parts) for parts in zip(*found, strict=True))
             mass = value * area
             whole = mass.isfinite().all(1)
@@ -148,10 +148,16 @@ class Targets:
 _cache: OrderedDict = OrderedDict()
 
 
-def _drawn(
+def quadrature(
     material: Material, condition: Tensor, count: int, generator: torch.Generator
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """``count`` directions [N, M, 2], target there [N, M] and area of the disk [N, M]."""
+    """``count`` directions [N, M, 2], target there [N, M] and area of the disk [N, M].
+
+    Four in five where the target is (:class:`~harness.fitting.quadtree.Quadtree`), the others
+    uniform; the area is what each direction stands for, so that sums over them of area times any
+    function have the expectation of its integral over the disk. The target is as the material gives
+    it, not normalised, without a cosine.
+    """
 
     def target(point: Tensor) -> Tensor:
         return material.target_grid(condition, square_to_disk(point))

@@ -21,12 +21,6 @@ _MOST = 4000
 """Files that are remembered; a cache with more is begun anew."""
 
 
-def default_folder() -> Path:
-    """``$XDG_CACHE_HOME/bsdf-sampling-harness``, or the same below ``~/.cache``."""
-    base = os.environ.get("XDG_CACHE_HOME", "")
-    return (Path(base) if base else Path.home() / ".cache") / "bsdf-sampling-harness"
-
-
 class Cache:
     """Units of files by the hash of their text. ``folder`` None keeps them in memory only."""
 

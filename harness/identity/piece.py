@@ -61,6 +61,8 @@ class Names:
                 if depth == len(self.scopes) - 1 and name in scope.names:
                     # It may be a method's, as in `__radd__ = __add__`.
                     self.piece.mentions.add(name)
+                    if name in self.file.bindings:  # or of the module, as in `a = a`
+                        self._refer(self.file.bindings[name] or f":{name}")
                     self._attributes(f"~{name}", attributes)
                     return
                 if name not in scope.imports:

@@ -12,6 +12,8 @@ ADAPTER, TRAINING, FIT = "adapter", "training", "fit"
 MATERIAL, SCENE, MEASURE = "material", "scene", "measure"
 MATERIAL_FILES, SCENE_FILES, METHOD_FILES = "material files", "scene files", "method files"
 VERSIONS = "versions"
+KERNELS = "kernels"
+"""Of a trial whose numbers are times: which compiled kernels ran, if any."""
 BASELINE, BASELINE_STATE = "baseline", "baseline state"
 """Of a timed trial, whose numbers are in comparison with the baseline."""
 
@@ -28,6 +30,7 @@ WORDS = {
     SCENE_FILES: "a file that the scene names",
     METHOD_FILES: "a file that the method's parameters name",
     VERSIONS: "a library's version",
+    KERNELS: "what runs networks on the CPU",
     FIT: "the fitted state",
     BASELINE: "the baseline",
     BASELINE_STATE: "the baseline's fitted state",

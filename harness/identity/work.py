@@ -37,6 +37,8 @@ def recorded() -> Iterator[Work]:
     import drjit as dr
     from torch.utils._python_dispatch import TorchDispatchMode
 
+    from harness.core.compiled import history
+
     work = Work()
     gc.collect()  # what is freed meanwhile would be evaluated first
     dr.sync_thread()
@@ -53,9 +55,10 @@ def recorded() -> Iterator[Work]:
     dr.set_flag(dr.JitFlag.KernelHistory, True)
     dr.kernel_history_clear()
     try:
-        with Watch():
+        with Watch(), history.recorded() as runs:
             yield work
         dr.sync_thread()
+        work.operations += [(run.what, str(run.rows)) for run in runs]
         work.kernels += [
             (int(entry["size"]), int(entry["operation_count"]), int(entry["input_count"]))
             for entry in dr.kernel_history()

@@ -192,7 +192,10 @@ def _manifest(material: Material, settings: BakeSettings) -> dict:
 
 
 def _refuse_another(path: Path, manifest: dict) -> None:
-    stored = json.loads(path.read_text())
+    try:
+        stored = dict(json.loads(path.read_text()))
+    except (OSError, ValueError, TypeError, RecursionError):
+        raise InputError(f"{path}: does not describe a data base of importance maps") from None
     for key in manifest:
         if stored.get(key) != manifest[key]:
             what = "" if key == "material" else f": {stored.get(key)!r}, not {manifest[key]!r}"

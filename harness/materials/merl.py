@@ -19,10 +19,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from harness.core.columns.bridge import Columns
-from harness.core.columns.material import ColumnMaterial
 from harness.core.protocol.errors import InputError
 from harness.materials.file_formats import said_of
 from harness.materials.half_difference import direction, half_and_difference
+from harness.materials.measured_columns import MeasuredTable
 
 SHAPE = (90, 90, 180)
 """Cells of theta_h, theta_d and phi_d."""
@@ -58,23 +58,11 @@ def read(path: Path) -> NDArray[np.float32]:
     return (values * np.array(SCALES)[:, None, None, None]).astype(np.float32)
 
 
-class MerlMaterial(ColumnMaterial):
+class MerlMaterial(MeasuredTable):
     """One table; the condition is ``wi.xy``."""
 
-    renders_in_columns = True
-
     def __init__(self, name: str, path: Path, identity: dict[str, Any]):
-        self.name, self._identity = name, identity
-        self._table = np.moveaxis(read(path), 0, -1).reshape(-1)
-        self._loaded: dict[type, Any] = {}
-
-    def identity(self) -> dict[str, Any]:
-        """See :meth:`Material.identity`."""
-        return self._identity
-
-    def condition_columns(self, si: Any) -> Columns:
-        """The condition at surface interactions, as a renderer meets it."""
-        return [si.wi.x, si.wi.y]
+        super().__init__(name, read(path), identity)
 
     def eval_columns(self, c: Columns, wo: Columns) -> Any:
         """See :meth:`ColumnMaterial.eval_columns`."""
@@ -91,9 +79,7 @@ class MerlMaterial(ColumnMaterial):
             _cell(phi_d / dr.pi, SHAPE[2]),
         ]
         array = type(theta_h)
-        table = self._loaded.get(array)
-        if table is None:
-            table = self._loaded[array] = array(self._table)
+        table = self.table(array)
         index = 3 * ((cells[0] * SHAPE[1] + cells[1]) * SHAPE[2] + cells[2])
         valid = above & inside
         return [dr.select(valid, dr.gather(array, table, index + k), 0) for k in range(3)]

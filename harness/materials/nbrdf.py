@@ -20,11 +20,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from harness.core.columns.bridge import Columns
-from harness.core.columns.material import ColumnMaterial
 from harness.core.protocol.errors import InputError
 from harness.materials import nbrdf_h5
 from harness.materials.file_formats import said_of
 from harness.materials.half_difference import direction, half_and_difference
+from harness.materials.measured_columns import MeasuredColumns
 
 SHAPES = {"fc1": (6, 21), "b1": (21,), "fc2": (21, 21), "b2": (21,), "fc3": (21, 3), "b3": (3,)}
 
@@ -60,36 +60,39 @@ def read(path: Path, where: str) -> dict[str, NDArray[np.float32]]:
     for key, file in found.items():
         try:
             with file.open("rb") as stream:
+                shape, dtype = _head(stream)
+                if shape != SHAPES[key] or dtype.kind != "f":
+                    raise InputError(
+                        f"{where}: {file}: expected numbers of shape {list(SHAPES[key])}, got"
+                        f" {dtype} of {list(shape)}"
+                    )
+                stream.seek(0)
                 array = np.lib.format.read_array(stream, allow_pickle=False)
         except OSError as error:
             raise InputError(f"{where}: {file} cannot be read: {error.strerror}") from None
-        except (ValueError, EOFError) as error:
+        except InputError:
+            raise
+        except Exception as error:  # numpy reads the head as Python, which has many ways to fail
             raise InputError(f"{where}: {file} is no array of numbers: {error}") from None
-        if array.shape != SHAPES[key] or array.dtype.kind != "f":
-            raise InputError(
-                f"{where}: {file}: expected numbers of shape {list(SHAPES[key])}, got {array.dtype}"
-                f" of {list(array.shape)}"
-            )
         arrays[key] = array.astype(np.float32)
     return arrays
 
 
-class NbrdfMaterial(ColumnMaterial):
+def _head(stream: Any) -> tuple[tuple[int, ...], np.dtype[Any]]:
+    """Shape and type of an array, before room is made for it."""
+    if np.lib.format.read_magic(stream) == (1, 0):
+        shape, _, dtype = np.lib.format.read_array_header_1_0(stream)
+    else:
+        shape, _, dtype = np.lib.format.read_array_header_2_0(stream)
+    return shape, dtype
+
+
+class NbrdfMaterial(MeasuredColumns):
     """One network; the condition is ``wi.xy``."""
 
-    renders_in_columns = True
-
     def __init__(self, name: str, arrays: dict[str, NDArray[np.float32]], identity: dict[str, Any]):
-        self.name, self._identity = name, identity
+        super().__init__(name, identity)
         self._layers = [(arrays[f"fc{i}"], arrays[f"b{i}"]) for i in (1, 2, 3)]
-
-    def identity(self) -> dict[str, Any]:
-        """See :meth:`Material.identity`."""
-        return self._identity
-
-    def condition_columns(self, si: Any) -> Columns:
-        """The condition at surface interactions, as a renderer meets it."""
-        return [si.wi.x, si.wi.y]
 
     def eval_columns(self, c: Columns, wo: Columns) -> Any:
         """See :meth:`ColumnMaterial.eval_columns`."""

@@ -44,7 +44,7 @@ def read(path: Path, shapes: Mapping[str, tuple[int, ...]], where: str) -> dict[
     try:
         with h5py.File(path, "r") as file:
             file.visititems(note)
-    except OSError as error:
+    except (OSError, RuntimeError, ValueError, TypeError, KeyError) as error:
         raise InputError(f"{where}: {path}: no HDF5 file that can be read: {error}") from None
     found: dict[str, NDArray] = {}
     for key in (key for key in shapes if len(shapes[key]) == 2):

@@ -11,6 +11,7 @@ A specification is a name, or a mapping::
     {name: polished,  type: family,   family: disney, fix: {roughness: 0.1}}   # or disney alone
     {name: brushed,   type: family,   family: ggx-conductor, walks: 64}  # f: mean over 64 walks
     {name: theirs,    type: neural,   file: theirs.ckpt}       # see harness.materials.neural
+    {name: grains,    type: puresample, file: grains.safetensors}  # learned from walks
 
 Relative files are meant from ``base_dir`` (the folder of the suite), or the working folder.
 Neither Mitsuba nor Dr.Jit is loaded before :func:`make`.
@@ -32,6 +33,7 @@ from harness.materials.families import registry as families
 from harness.materials.hard import registry as hard
 from harness.materials.kinds.base import Kind, where_of
 from harness.materials.neural import files as neural
+from harness.materials.puresample import files as puresample
 
 LIBRARY = Path(__file__).parent / "library"
 PACKAGE = "harness.materials.library"
@@ -72,12 +74,19 @@ def neural_names() -> list[str]:
     return list(neural.shipped())
 
 
+def puresample_names() -> list[str]:
+    """Names of the materials learned from walks that come with the harness, sorted."""
+    return list(puresample.shipped())
+
+
 def describe(name: str) -> str:
     """One line about a named material, beginning with the regime it stands for."""
     if name in families.FAMILIES:
         return families.FAMILIES[name].about
     if name in neural.shipped():
         return neural.describe(neural.shipped()[name])
+    if name in puresample.shipped():
+        return puresample.describe(puresample.shipped()[name])
     if name in hard.MATERIALS:
         return hard.MATERIALS[name].about
     for node in ast.parse(_file(name).read_text(encoding="utf-8")).body:
@@ -156,7 +165,7 @@ def _named() -> dict[str, Path]:
 def _file(name: str) -> Path:
     known = _named()
     if name not in known:
-        others = [*hard.MATERIALS, *families.FAMILIES, *neural.shipped()]
+        others = [*hard.MATERIALS, *families.FAMILIES, *neural.shipped(), *puresample.shipped()]
         hint = nearest(name, [*known, *others])
         raise InputError(f"unknown material '{name}'{hint}")
     return known[name]
@@ -172,6 +181,8 @@ def _in_full(spec: Spec) -> Spec:
         return {"name": name, "type": "family", "family": name}
     if isinstance(name, str) and name in neural.shipped():
         return {"name": name, "type": "neural"}
+    if isinstance(name, str) and name in puresample.shipped():
+        return {"name": name, "type": "puresample"}
     return spec
 
 

@@ -18,10 +18,10 @@ import drjit as dr
 import numpy as np
 
 from harness.core.columns.bridge import Columns
-from harness.core.columns.material import ColumnMaterial
 from harness.core.protocol.errors import InputError
 from harness.materials.file_formats import said_of
 from harness.materials.half_difference import direction
+from harness.materials.measured_columns import MeasuredTable
 
 THETAS, PHIS = 6, 48
 DIRECTIONS = THETAS * PHIS
@@ -40,34 +40,20 @@ def check(path: Path, where: str) -> None:
         raise InputError(f"{where}: {path} is no table of the UTIA database: {is_one}")
 
 
-class UtiaMaterial(ColumnMaterial):
+class UtiaMaterial(MeasuredTable):
     """One table; the condition is ``wi.xy``, azimuths counted from the tangent dp_du."""
 
-    renders_in_columns = True
-
     def __init__(self, name: str, path: Path, scale: float, identity: dict[str, Any]):
-        self.name, self._identity = name, identity
         values = np.fromfile(path, "<f8").reshape(3, DIRECTIONS, DIRECTIONS)
         if not np.isfinite(values).all():
             raise InputError(f"material '{name}': {path} holds values that are not numbers")
-        self._table = (scale * np.moveaxis(values, 0, -1)).astype(np.float32).reshape(-1)
-        self._loaded: dict[type, Any] = {}
-
-    def identity(self) -> dict[str, Any]:
-        """See :meth:`Material.identity`."""
-        return self._identity
-
-    def condition_columns(self, si: Any) -> Columns:
-        """The condition at surface interactions, as a renderer meets it."""
-        return [si.wi.x, si.wi.y]
+        super().__init__(name, (scale * values).astype(np.float32), identity)
 
     def eval_columns(self, c: Columns, wo: Columns) -> Any:
         """See :meth:`ColumnMaterial.eval_columns`."""
         (view, above), (light, inside) = direction(*c), direction(*wo)
         array = type(light[2])
-        table = self._loaded.get(array)
-        if table is None:
-            table = self._loaded[array] = array(self._table)
+        table = self.table(array)
         total = [array(0.0) for _ in range(3)]
         corners = itertools.product(_neighbours(*light), _neighbours(*view))
         for (row, a), (column, b) in corners:

@@ -19,6 +19,7 @@ from harness.materials.families.walks import WalkFamily
 from harness.measures.base import Job, Measure, Outcome
 from harness.measures.base import Settings as BaseSettings
 from harness.measures.compact import single
+from harness.measures.densities import checked_density
 from harness.measures.equal_spp import in_constant_light
 from harness.rendering import defensive, seen
 from harness.rendering.broad import Broad
@@ -123,7 +124,7 @@ def _some(
     wo = torch.where((kind == 0)[:, None], own, torch.where((kind == 1)[:, None], near, even))
     inside = inside_disk(wo)
     place = torch.where(inside[:, None], wo, 0)
-    p = method.pdf(many, place).double()
+    p = checked_density(method.pdf(many, place), method).double()
     of_cells = torch.gather(share, 1, _cell_of(place, settings.grid).view(len(rows), n))
     q = p / 4 + broad.pdf(many, place).double() / 4
     q = q + of_cells.reshape(-1).double() * cells / math.pi / 2
@@ -151,7 +152,7 @@ def _shares(
     index = torch.arange(cells, device=rows.device).repeat(len(rows))
     wo, many = _in_cells(index, u, settings.grid), rows.repeat_interleave(cells, 0)
     f = luminance(material.eval(many, wo)).double().abs()
-    p = method.pdf(many, wo).double()
+    p = checked_density(method.pdf(many, wo), method).double()
     square = torch.where(p > 0, f * f / torch.where(p > 0, p, 1), 0)
     parts = [v.view(len(rows), cells) for v in (f, square)]
     total = [v.sum(1, keepdim=True) for v in parts]

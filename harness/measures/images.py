@@ -78,6 +78,7 @@ def checked(rendered: Pass, job: Job) -> Pass:
         raise FloatingPointError(
             f"{job.method.name} on {job.material.name}: {int(bad.sum())} of {bad.size} pixels"
             " are not finite"
+            " (a density that is negative or no number shows as that)"
         )
     return rendered
 

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 
 import numpy as np
 import torch
 
 from harness.core.protocol.disk import inside_disk, square_to_disk
-from harness.fitting.targets import cells
+from harness.fitting.targets import quadrature
 from harness.measures.base import Job, Measure, Outcome
 from harness.measures.base import Settings as BaseSettings
 from harness.measures.compact import single
+from harness.measures.densities import checked_density
 from harness.stats import divergence
 
 _ROWS = 1 << 20
@@ -30,10 +30,11 @@ class Pdf(Measure):
     .. math:: D_{KL} = \int p^* \ln \frac{p^*}{p}, \qquad
               \chi^2 = \int \frac{p^{*2}}{p} - 1
 
-    by quadrature over ``resolution``^2 equal-area cells of the disk with one random point
-    each, the same points for p* and p. The chi-square divergence is the variance of
-    f / p over its squared mean under constant light. Both are infinite where p = 0 < p*;
-    the share of p* that is so lost is a record of its own. Intervals are over conditions.
+    by quadrature over ``resolution``^2 directions, four in five of them drawn where p* is and the
+    others uniformly (:func:`harness.fitting.targets.quadrature`): a peak is resolved, however
+    narrow. They are the same for p*, p and all methods. The chi-square divergence is the variance
+    of f / p over its squared mean under constant light. Both are infinite where p = 0 < p*; the
+    share of p* that is so lost is a record of its own. Intervals are over conditions.
     ``negative-share`` is a fact of the material: how much of measured data is below zero.
     """
 
@@ -41,7 +42,10 @@ class Pdf(Measure):
     needs_scene = False
 
     class Settings(BaseSettings):
-        """``conditions`` held-out conditions, ``samples`` drawn at each for the invalid share."""
+        """``conditions`` held-out conditions, ``samples`` drawn at each for the invalid share.
+
+        ``resolution``: square root of the number of directions of the quadrature.
+        """
 
         conditions: int = 128
         resolution: int = 128
@@ -58,18 +62,18 @@ class Pdf(Measure):
         found: dict[str, list[np.ndarray]] = {name: [] for name in _DIVERGENCES}
         step = max(1, _ROWS // count)
         for rows in torch.split(condition, step):
-            jitter = torch.rand(len(rows), count, 2, generator=job.generator).to(device)
-            wo = cells(settings.resolution, jitter, device)
-            value = job.material.target_grid(rows, wo).double()
-            total = value.sum(1, keepdim=True)
+            wo, value, area = quadrature(job.material, rows, count, job.generator)
+            value, area = value.double(), area.double()
+            total = (value * area).sum(1, keepdim=True)
             # A black condition has no p* to be compared with.
             lit = total[:, 0] > 0
-            target = value[lit] / total[lit] * (count / math.pi)
+            target = value[lit] / total[lit]
             many = rows.repeat_interleave(count, 0)
-            pdf = job.method.pdf(many, wo.reshape(-1, 2)).view(len(rows), count)[lit].double()
-            p_star, p = target.cpu().numpy(), pdf.cpu().numpy()
+            pdf = checked_density(job.method.pdf(many, wo.reshape(-1, 2)), job.method)
+            pdf = pdf.view(len(rows), count)[lit].double()
+            each = [v.cpu().numpy() for v in (target, pdf, area[lit])]
             for name, function in _DIVERGENCES.items():
-                found[name].append(function(p_star, p))
+                found[name].append(function(*each))
             kept.append(rows[lit])
         lit = torch.cat(kept)
         arrays = {name: single(np.concatenate(parts)) for name, parts in found.items()}
@@ -90,6 +94,8 @@ class Pdf(Measure):
     def _invalid_share(job: Job, condition: torch.Tensor, samples: int) -> np.ndarray:
         """Share of samples off the disk, per condition that is not black."""
         u = torch.rand(len(condition) * samples, 3, generator=job.generator)
-        wo, _ = job.method.sample(condition.repeat_interleave(samples, 0), u.to(condition.device))
+        many = condition.repeat_interleave(samples, 0)
+        wo, pdf = job.method.sample(many, u.to(condition.device))
+        checked_density(pdf, job.method, "sample's pdf")
         valid = inside_disk(wo).view(len(condition), samples).double().mean(1)
         return single((1 - valid).cpu().numpy())

@@ -11,6 +11,7 @@ from pydantic import ValidationError
 
 from harness.core.classes import named
 from harness.core.protocol.errors import InputError, nearest
+from harness.measures import bounds
 from harness.measures.base import Measure
 
 MEASURES = Path(__file__).parent
@@ -56,7 +57,9 @@ def settings(name: str, given: dict[str, Any]) -> dict[str, Any]:
     model = load(name).Settings
     try:
         # Through JSON, in which a list is a valid tuple even where types are strict.
-        return model.model_validate_json(json.dumps(given)).model_dump(mode="json")
+        found = model.model_validate_json(json.dumps(given)).model_dump(mode="json")
+        bounds.check(name, found)
+        return found
     except TypeError as error:
         raise InputError(f"measure '{name}': {error}") from None
     except ValidationError as error:

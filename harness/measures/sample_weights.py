@@ -18,6 +18,7 @@ from harness.core.protocol.method import Method
 from harness.materials.families.walks import WalkFamily
 from harness.measures.base import Job, Measure, Outcome
 from harness.measures.base import Settings as BaseSettings
+from harness.measures.densities import checked_density
 
 _ROWS = 1 << 18
 _REFERENCES = ("random-walk", "native", "cosine")
@@ -102,7 +103,9 @@ def _moments(
     for rows in torch.split(condition, max(1, _ROWS // samples)):
         many = rows.repeat_interleave(samples, 0)
         u = torch.rand(len(many), 3, generator=job.generator).to(many.device)
-        w = luminance(method.sample_weighted(many, u).weight).double()
+        drawn = method.sample_weighted(many, u)
+        checked_density(drawn.pdf, method, "sample's pdf")
+        w = luminance(drawn.weight).double()
         other = luminance(again.sample_weighted(many, u).weight).double() if again else w
         w, other = w.view(-1, samples), other.view(-1, samples)
         mean, variance = w.mean(1), w.var(1)

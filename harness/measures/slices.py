@@ -12,6 +12,7 @@ from harness.core.protocol.disk import inside_disk
 from harness.measures.base import Job, Measure, Outcome
 from harness.measures.base import Settings as BaseSettings
 from harness.measures.compact import single
+from harness.measures.densities import checked_density
 
 
 class Slices(Measure):
@@ -46,7 +47,8 @@ class Slices(Measure):
         area = (2 / n) ** 2
         value = job.material.target_grid(condition, wo[None]).double()
         target = (value / (value.sum(1, keepdim=True) * area)).cpu().numpy()
-        pdf = job.method.pdf(rows, points).view(shape).double().cpu().numpy()
+        pdf = checked_density(job.method.pdf(rows, points), job.method)
+        pdf = pdf.view(shape).double().cpu().numpy()
         column = ((wo + 1) * (n / 2)).long().cpu().numpy()
         arrays = {"condition": condition.cpu().numpy()}
         for name, density in (("target", target), ("pdf", pdf)):

@@ -11,8 +11,11 @@ from typing import Annotated
 import numpy as np
 import typer
 
+from harness.core.outputs import file_to_write
+from harness.core.pictures import MARK, marked
 from harness.core.protocol.errors import InputError
 from harness.microgeometry import descriptions, preview, queries
+from harness.microgeometry.walks.surfaces import reliefs
 
 app = typer.Typer(add_completion=False, help="Pictures and speed of microgeometry.")
 
@@ -30,8 +33,9 @@ def sheet(
     """A contact sheet: the tile from above, in perspective, and on a sphere."""
     from matplotlib.image import imsave
 
+    file_to_write(out, "OUT", marked, "a picture of this command")
     strips = []
-    for item in name or descriptions.names():
+    for item in name or reliefs():
         surface = descriptions.load(item, resolution)
         pictures = [
             preview.plane(surface, pixels, spp=spp, dome=0.4, device=device),
@@ -42,7 +46,7 @@ def sheet(
         typer.echo(f"{item}: rms slope {surface.slope:.2f}, depth {surface.depth:.3f}")
     strips += [np.zeros_like(strips[0])] * (-len(strips) % columns)
     rows = [np.concatenate(strips[k : k + columns], 1) for k in range(0, len(strips), columns)]
-    imsave(out, preview.srgb(np.concatenate(rows)))
+    imsave(out, preview.srgb(np.concatenate(rows)), metadata=MARK)
 
 
 @app.command()

@@ -22,6 +22,7 @@ Direction ``light + n_lights * view``, texel ``x + width * y``. Not read: vertex
 
 from __future__ import annotations
 
+import math
 import struct
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -141,7 +142,7 @@ class _Reader:
         return struct.unpack(f"<{code}", self.bytes(struct.calcsize(code)))[0]
 
     def array(self, dtype: str, *shape: int) -> Array:
-        count = int(np.prod(shape, dtype=np.int64))
+        count = math.prod(shape)
         raw = self.bytes(count * np.dtype(dtype).itemsize)
         return np.frombuffer(raw, f"<{dtype}").reshape(shape).astype(np.float32)
 
@@ -152,6 +153,8 @@ def _parse(reader: _Reader) -> Btf:
     has_cosine = _meta_data(reader)
     lights, views = _sampling(reader)
     width, height = reader.one("I"), reader.one("I")
+    if not (width and height):
+        raise InputError(f"has {width} x {height} texels; expected some")
     if signature.endswith("R") and reader.one("I"):
         raise InputError("has local frames (rotations); expected a BTF on one plane")
     shape = (len(lights) * len(views), width * height)

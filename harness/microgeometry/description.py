@@ -28,7 +28,8 @@ from pydantic import StringConstraints, ValidationError, model_validator
 from harness.core.protocol.errors import InputError
 from harness.core.refusal import refusal
 from harness.core.schema import Strict, Word
-from harness.identity.source import covered, digest
+from harness.identity.digests import Part
+from harness.identity.ours import digest_of
 from harness.microgeometry.expressions import Expression
 from harness.microgeometry.surface import Surface
 from harness.textures import maps
@@ -36,6 +37,11 @@ from harness.textures import maps
 Text = str | float | int
 Code = Annotated[str, StringConstraints(pattern=r"^#[0-9a-fA-F]{6}$")]
 
+_TRACED = Part(
+    ("harness.microgeometry.description:Description", "harness.microgeometry.surface:Surface"),
+    ("surface", "reflectance", "heights", "energy"),
+)
+"""The code that the answers of a described surface come from."""
 TEXTURED = (
     "roughness",
     "metallic",
@@ -148,7 +154,7 @@ class Description(Strict):
         source = {
             "description": self.model_dump(exclude={"name", "about"}),
             "resolution": size,
-            "source": digest(covered(Path(__file__), "harness.microgeometry")),
+            "source": digest_of(_TRACED),
         }
         return Surface(self.name, height, bsdf, angle, micro, source=source)
 

@@ -33,7 +33,7 @@ class Directions:
         try:
             self._mesh = Delaunay(points)
             edges = ConvexHull(points).equations
-        except QhullError:
+        except (QhullError, ValueError):  # the latter for numbers that are none
             raise InputError(f"{what}: expected directions that span the disk") from None
         if (edges[:, 2] >= 0).any():
             raise InputError(f"{what}: expected directions all around the normal")

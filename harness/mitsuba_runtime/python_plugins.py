@@ -6,14 +6,15 @@ The class derives from ``mitsuba.BSDF``, ``mitsuba.Texture`` or another kind of 
 
 from __future__ import annotations
 
+import hashlib
 import importlib.util
 import sys
 from pathlib import Path
 from typing import Any
 
-from harness.core.classes import declared
+from harness.core.classes import declared, read_python
 from harness.core.protocol.errors import InputError, nearest
-from harness.identity.source import covered, digest
+from harness.identity.ours import digest_of_class
 
 KINDS = ("BSDF", "Texture", "Emitter", "Medium", "PhaseFunction", "Shape", "Volume")
 """Mitsuba's classes of which a plugin may be one; each has a ``register_`` of its name."""
@@ -37,7 +38,7 @@ def check(plugin: str, where: str) -> None:
     if not file.is_file():
         raise InputError(f"{where}: no such file: {file} (expected file.py:Class)")
     try:
-        covered(file)  # says what is wrong if it is not valid Python
+        read_python(file)  # says what is wrong if it is not valid Python
     except InputError as error:
         raise InputError(f"{where}: {error}") from None
     known = [item.class_name for item in declared(file)]
@@ -47,7 +48,8 @@ def check(plugin: str, where: str) -> None:
 
 def identity(plugin: str) -> str:
     """What determines the plugin: its class, and the source that its file stands for."""
-    return f"{digest(covered(file_of(plugin)))}:{plugin.rpartition(':')[2]}"
+    class_name = plugin.rpartition(":")[2]
+    return f"{digest_of_class(file_of(plugin), class_name)}:{class_name}"
 
 
 def register(plugin: str, where: str) -> str:
@@ -57,7 +59,8 @@ def register(plugin: str, where: str) -> str:
     check(plugin, where)
     file, class_name = file_of(plugin).resolve(), plugin.rpartition(":")[2]
     # Named by path and content: two files may have classes of one name, and a file may change.
-    name = f"{file.stem}-{class_name}-{digest(str(file) + covered(file))}".lower()
+    found = f"{file} {digest_of_class(file, class_name)}"
+    name = f"{file.stem}-{class_name}-{hashlib.sha256(found.encode()).hexdigest()[:16]}".lower()
     if name in _registered:
         return name
     try:

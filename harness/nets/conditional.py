@@ -33,4 +33,4 @@ class ConditionalMLP(nn.Module):
 
     def columns(self, c: Columns) -> Columns:
         """The same over columns."""
-        return self.mlp.columns(self.encoder.columns(c))
+        return self.mlp.columns(self.encoder.encoded(c))

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
 import drjit as dr
 import torch
 from torch import Tensor, nn
@@ -33,6 +37,78 @@ def sinusoids_columns(x: Columns, frequencies: int) -> Columns:
         if k + 1 < frequencies:
             waves = [(2 * s * c, dr.fma(-2 * s, s, 1)) for s, c in waves]
     return parts
+
+
+@dataclass(frozen=True)
+class Group:
+    """Columns that are encoded alike.
+
+    With ``frequencies`` as :func:`sinusoids_columns` has it; without, (v - ``mean``) * ``scale``,
+    one of each a column, or as they are where those are empty.
+    """
+
+    columns: Columns
+    frequencies: int | None = None
+    mean: Sequence[float] = ()
+    scale: Sequence[float] = ()
+
+    @property
+    def width(self) -> int:
+        """Inputs of a network."""
+        return len(self.columns) * (1 if self.frequencies is None else 1 + 2 * self.frequencies)
+
+
+@dataclass(frozen=True)
+class Encoded:
+    """Inputs of a network as the columns that they are made of, so that it may encode them itself.
+
+    Example:
+        >>> Encoded.waves([x], 4) + net.encoder.encoded(c)  # 9 inputs of x and 30 of the condition
+    """
+
+    groups: tuple[Group, ...]
+
+    @classmethod
+    def plain(cls, columns: Columns) -> Encoded:
+        """Columns as they are."""
+        return cls((Group(columns),))
+
+    @classmethod
+    def waves(cls, columns: Columns, frequencies: int) -> Encoded:
+        """With sines and cosines, see :func:`sinusoids_columns`."""
+        return cls((Group(columns, frequencies),))
+
+    def __add__(self, other: Encoded) -> Encoded:
+        return Encoded(self.groups + other.groups)
+
+    @property
+    def width(self) -> int:
+        """Inputs of the network."""
+        return sum(group.width for group in self.groups)
+
+    @property
+    def raw(self) -> Columns:
+        """The columns before they are encoded."""
+        return [column for group in self.groups for column in group.columns]
+
+    @property
+    def as_it_is(self) -> bool:
+        """Whether :attr:`raw` are the network's inputs."""
+        return all(group.frequencies is None and not group.mean for group in self.groups)
+
+    @cached_property
+    def inputs(self) -> Columns:
+        """The network's inputs."""
+        found: Columns = []
+        for group in self.groups:
+            if group.frequencies is not None:
+                found += sinusoids_columns(group.columns, group.frequencies)
+            elif group.mean:
+                numbers = zip(group.columns, group.mean, group.scale, strict=True)
+                found += [(column - mean) * scale for column, mean, scale in numbers]
+            else:
+                found += group.columns
+        return found
 
 
 class ConditionEncoder(nn.Module):
@@ -67,9 +143,13 @@ class ConditionEncoder(nn.Module):
         features = (condition[..., a : a + f] - self.mean) * self.scale
         return torch.cat([features, sinusoids(condition[..., a + f :], self.frequencies)], -1)
 
+    def encoded(self, c: Columns) -> Encoded:
+        """The same over columns, for a network to encode."""
+        a, f = self.n_address, self.n_features
+        features = Group(c[a : a + f], None, self.mean.tolist(), self.scale.tolist())
+        waves = Group(c[a + f : a + f + 2], self.frequencies)
+        return Encoded((features, waves) if f else (waves,))
+
     def columns(self, c: Columns) -> list[Float]:
         """The same over columns."""
-        a, f = self.n_address, self.n_features
-        mean, scale = self.mean.tolist(), self.scale.tolist()
-        features = [(c[a + i] - mean[i]) * scale[i] for i in range(f)]
-        return features + sinusoids_columns(c[a + f : a + f + 2], self.frequencies)
+        return self.encoded(c).inputs

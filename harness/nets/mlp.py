@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import Any
 
 import drjit as dr
 import drjit.nn
@@ -11,8 +12,12 @@ import torch
 from torch import Tensor, nn
 
 from harness.core.columns.bridge import Columns, Float
+from harness.core.compiled.library import Library
 from harness.core.protocol import counting
 from harness.nets import activations
+from harness.nets.compiled_network import Packed, usable
+from harness.nets.encoding import Encoded
+from harness.nets.looped import LoopedMatrix
 
 
 class MLP(nn.Module):
@@ -33,11 +38,12 @@ class MLP(nn.Module):
         self.layers = nn.ModuleList(
             nn.Linear(a, b) for a, b in zip(widths[:-1], widths[1:], strict=True)
         )
+        self.widths = tuple(widths)
         self.activation, self.slope = activation, activations.SLOPES.get(activation)
         if zero_last:
             nn.init.zeros_(self.layers[-1].weight)
             nn.init.zeros_(self.layers[-1].bias)
-        self._packed: tuple[bytes, list, list] | None = None
+        self._packed: tuple[bytes, dict[str, Any]] = b"", {}
 
     def forward(self, x: Tensor) -> Tensor:
         """[..., widths[0]] -> [..., widths[-1]]."""
@@ -46,49 +52,74 @@ class MLP(nn.Module):
             x = activations.value(self.activation, layer(x))
         return self.layers[-1](x)
 
-    def columns(self, x: Columns) -> Columns:
-        """The network over columns, ``len(x) == widths[0]``. No gradients."""
+    def columns(self, x: Columns | Encoded) -> Columns:
+        """The network over ``widths[0]`` columns. No gradients by its weights.
+
+        By the compiled kernels where :func:`harness.nets.compiled_network.usable` has them;
+        everything before and after is then a Dr.Jit kernel of its own. Otherwise by cooperative
+        vectors, or on a GPU by loops, as part of one kernel.
+        """
+        x = x if isinstance(x, Encoded) else Encoded.plain(x)
         if counting.wanted():
-            counting.add("network", max(dr.width(column) for column in x))
-        if dr.backend_v(x[-1]) == dr.JitBackend.CUDA:
-            return self._columns_scalar(x)
-        weights, biases = self.packed(type(x[-1]))
-        v = drjit.nn.CoopVec(*x)
+            counting.add("network", max(dr.width(column) for column in x.raw))
+        if library := usable(x, widths=self.widths):
+            return self.compiled(library)(x)
+        inputs = x.inputs
+        if dr.backend_v(inputs[-1]) == dr.JitBackend.CUDA:
+            return self._columns_looped(inputs)
+        weights, biases = self.packed(type(inputs[-1]))
+        v = drjit.nn.CoopVec(*inputs)
         for i, (w, b) in enumerate(zip(weights, biases, strict=True)):
             v = drjit.nn.matvec(w, v, b)
             if i < len(weights) - 1:
                 v = drjit.nn.CoopVec(*activations.value_columns(self.activation, list(v)))
         return list(v)
 
-    def _columns_scalar(self, x: Columns) -> Columns:
-        """Multiply-adds written out: 32-bit cooperative vectors do not exist on CUDA."""
-        array: type[Float] = type(x[-1])
-        for i, layer in enumerate(self.layers):
-            w = array(layer.weight.detach().float().reshape(-1).contiguous())
-            b = array(layer.bias.detach().float().contiguous())
-            out = []
-            for row in range(layer.out_features):
-                s = dr.gather(array, b, row)
-                for k, value in enumerate(x):
-                    s = dr.fma(dr.gather(array, w, row * layer.in_features + k), value, s)
-                out.append(s)
-            if i < len(self.layers) - 1:
-                out = activations.value_columns(self.activation, out)
-            x = out
+    def _columns_looped(self, x: Columns) -> Columns:
+        """As loops: 32-bit cooperative vectors do not exist on CUDA."""
+        matrices = self.looped(type(x[-1]))
+        for i, matrix in enumerate(matrices):
+            x = matrix(x)
+            if i < len(matrices) - 1:
+                x = activations.value_columns(self.activation, x)
         return x
 
+    def looped(self, array: type[Float]) -> list[LoopedMatrix]:
+        """The layers for a back end without cooperative vectors."""
+
+        def make(numbers: list[np.ndarray]) -> list[LoopedMatrix]:
+            pairs = zip(numbers[0::2], numbers[1::2], strict=True)
+            return [LoopedMatrix(array, weight, bias) for weight, bias in pairs]
+
+        return self._kept(f"looped {array.__module__}", make)
+
     def packed(self, array: type[Float]) -> tuple[list, list]:
-        """Weights as packed matrix views, made again whenever a parameter has changed."""
-        numbers = [p.detach().float().cpu().numpy() for p in self.parameters()]
-        # By content: torch's version counter misses the writes of fused optimisers.
-        content = b"".join(a.tobytes() for a in numbers)
-        if self._packed is None or self._packed[0] != content:
+        """Weights and biases as packed matrix views."""
+
+        def pack(numbers: list[np.ndarray]) -> tuple[list, list]:
             tensor = dr.tensor_t(array)
             weights = [tensor(np.ascontiguousarray(w)) for w in numbers[0::2]]
             biases = [array(b) for b in numbers[1::2]]
             packed = drjit.nn.pack(*weights, *biases, layout="inference")
-            self._packed = (content, packed[: len(weights)], packed[len(weights) :])
-        return self._packed[1], self._packed[2]
+            return packed[: len(weights)], packed[len(weights) :]
+
+        return self._kept("matrices", pack)
+
+    def compiled(self, library: Library) -> Packed:
+        """The network as the compiled kernels run it."""
+        return self._kept("compiled", lambda n: Packed(library, n, self.activation, self.slope))
+
+    def _kept(self, what: str, make: Callable[[list[np.ndarray]], Any]) -> Any:
+        """A form of the weights, made again whenever a parameter has changed."""
+        numbers = [p.detach().float().cpu().numpy() for p in self.parameters()]
+        # By content: torch's version counter misses the writes of fused optimisers.
+        content = b"".join(a.tobytes() for a in numbers)
+        if self._packed[0] != content:
+            self._packed = content, {}
+        forms = self._packed[1]
+        if what not in forms:
+            forms[what] = make(numbers)
+        return forms[what]
 
     def __deepcopy__(self, memo: dict) -> MLP:
         clone = self.__new__(type(self))
@@ -96,7 +127,8 @@ class MLP(nn.Module):
         import copy
 
         clone.layers = copy.deepcopy(self.layers, memo)
-        clone.activation, clone.slope, clone._packed = self.activation, self.slope, None
+        clone.widths = self.widths
+        clone.activation, clone.slope, clone._packed = self.activation, self.slope, (b"", {})
         return clone
 
 

@@ -86,17 +86,6 @@ def _products(mlp: MLP, array: type[Float]) -> Product:
 
         return packed
 
-    def written_out(i: int, v: Columns, biased: bool) -> Columns:
-        # 32-bit cooperative vectors do not exist on CUDA.
-        layer = mlp.layers[i]
-        w = array(layer.weight.detach().float().reshape(-1).contiguous())
-        b = array(layer.bias.detach().float().contiguous())
-        out = []
-        for row in range(layer.out_features):
-            s = dr.gather(array, b, row) if biased else array(0)
-            for k, value in enumerate(v):
-                s = dr.fma(dr.gather(array, w, row * layer.in_features + k), value, s)
-            out.append(s)
-        return out
-
-    return written_out
+    # 32-bit cooperative vectors do not exist on CUDA.
+    matrices = mlp.looped(array)
+    return lambda i, v, biased: matrices[i](v, biased)

@@ -17,6 +17,7 @@ from torch import Tensor, nn
 from harness.core.columns.bridge import Columns, Float
 from harness.core.protocol import counting
 from harness.nets import activations
+from harness.nets.looped import LoopedMatrix
 
 REACH = 8.0
 
@@ -54,6 +55,7 @@ class Velocity(nn.Module):
             self.layers[0].weight[:, :2] *= 3
         self.activation, self.bounded = activation, bounded
         self._packed: tuple[bytes, list, list] | None = None
+        self._loops: tuple[bytes, dict[int | str, LoopedMatrix]] | None = None
 
     # --- torch -------------------------------------------------------------------------
 
@@ -161,7 +163,7 @@ class Velocity(nn.Module):
     ) -> Columns:
         """A layer's matrix times ``x``; of the first, the part of the condition or of (x, t)."""
         if dr.backend_v(array) == dr.JitBackend.CUDA:
-            return self._product_scalar(which, x, array, biased)
+            return self._looped(array)[which](x, biased)
         weights, biases = self._pack(array)
         bias = biases.get(which) if biased else None
         vector = drjit.nn.CoopVec(*x)
@@ -169,20 +171,17 @@ class Velocity(nn.Module):
             return list(drjit.nn.matvec(weights[which], vector))
         return list(drjit.nn.matvec(weights[which], vector, bias))
 
-    def _product_scalar(
-        self, which: int | str, x: Columns, array: type[Float], biased: bool
-    ) -> Columns:
-        """Multiply-adds written out: 32-bit cooperative vectors do not exist on CUDA."""
-        weight, bias = self._part(which)
-        w = array(weight.reshape(-1).contiguous())
-        b = array(bias.contiguous()) if biased and bias is not None else None
-        out = []
-        for row in range(weight.shape[0]):
-            s = array(0) if b is None else dr.gather(array, b, row)
-            for k, value in enumerate(x):
-                s = dr.fma(dr.gather(array, w, row * weight.shape[1] + k), value, s)
-            out.append(s)
-        return out
+    def _looped(self, array: type[Float]) -> dict[int | str, LoopedMatrix]:
+        """As loops: 32-bit cooperative vectors do not exist on CUDA. Kept like :meth:`_pack`."""
+        content = b"".join(p.detach().float().cpu().numpy().tobytes() for p in self.parameters())
+        if self._loops is None or self._loops[0] != content:
+            made = {}
+            for name in ("condition", "place", *range(1, len(self.layers))):
+                weight, bias = self._part(name)
+                bias = None if bias is None else bias.cpu().numpy()
+                made[name] = LoopedMatrix(array, weight.cpu().numpy(), bias)
+            self._loops = content, made
+        return self._loops[1]
 
     def _part(self, which: int | str) -> tuple[Tensor, Tensor | None]:
         """Matrix and bias of a layer, or of a part of the first."""
@@ -219,5 +218,6 @@ class Velocity(nn.Module):
         nn.Module.__init__(clone)
         clone.layers = copy.deepcopy(self.layers, memo)
         clone.activation, clone.bounded, clone._packed = self.activation, self.bounded, None
+        clone._loops = None
         clone.waves, clone.own = self.waves, self.own
         return clone

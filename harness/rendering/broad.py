@@ -25,6 +25,7 @@ class Broad(ColumnMethod):
     """See the module. Uses three uniforms."""
 
     name = "broad"
+    in_one_kernel = True
 
     def sample_columns(self, c: Columns, u: Columns) -> tuple[Float, Float, Float]:
         """See :meth:`ColumnMethod.sample_columns`."""

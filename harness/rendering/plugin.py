@@ -52,8 +52,8 @@ class SampledBSDF(mi.BSDF):
     Reflective; from behind black, unless the material is the same from both sides. Mitsuba's
     value of ``sample`` is f cos / pdf with the pdf per solid angle, cos times the method's; or
     the method's own weight, if its pdf is no more than an approximation, which then only weighs
-    strategies. A sample off the disk has pdf 0 and value 0; what is not a number becomes
-    infinite, so that a broken method shows in the image.
+    strategies. A sample off the disk has pdf 0 and value 0; what is not a number, or a density that
+    is negative or infinite, becomes infinite, so that a broken method shows in the image.
 
     Render it through :mod:`harness.rendering.passes`, which has Mitsuba evaluate BSDF calls
     one material at a time; a method in torch cannot run inside a symbolic call.
@@ -66,6 +66,9 @@ class SampledBSDF(mi.BSDF):
         self.in_columns = isinstance(method, ColumnMethod)
         self.nested = material.mitsuba_bsdf()
         self.eval_in_columns = self.nested is None and material.renders_in_columns
+        self.symbolic = (
+            self.in_columns and self.nested is not None and not self.own_eval
+        ) and method.in_one_kernel
         self.both_sides = material.both_sides
         self.shared: Columns | None = None
         self.spread = 0.0
@@ -103,9 +106,10 @@ class SampledBSDF(mi.BSDF):
         si, turned = self.facing(si)
         front = mi.Mask(active) & (si.wi.z > 0)
         x, y, pdf, *weight = self._draw(si, [sample1, sample2.x, sample2.y], front)
-        broken = front & (dr.isnan(x) | dr.isnan(y) | dr.isnan(pdf))
+        # A density is finite and not negative; what is none takes part in no guard below.
+        broken = front & (dr.isnan(x) | dr.isnan(y) | ~((pdf >= 0) & (pdf < dr.inf)))
         cos_squared = 1 - x * x - y * y
-        valid = front & (cos_squared > 0) & (pdf > 0)
+        valid = front & ~broken & (cos_squared > 0) & (pdf > 0)
         usable = valid | broken
         # Integrators drop samples whose density or value is nan, and the image would look
         # fine. Infinity they keep.
@@ -156,7 +160,7 @@ class SampledBSDF(mi.BSDF):
         value, pdf = self.eval(ctx, si, wo, active), self.pdf(ctx, si, wo, active)
         # A weight that is nan counts as zero, and hides where it came from. Density zero gives
         # the light's strategy, and with it infinity, the weight one.
-        broken = dr.isnan(pdf) | dr.any(dr.isnan(value))
+        broken = ~((pdf >= 0) & (pdf < dr.inf)) | dr.any(dr.isnan(value))
         return dr.select(broken, dr.inf, value), dr.select(broken, 0, pdf)
 
     def to_string(self) -> str:
@@ -173,7 +177,7 @@ class SampledBSDF(mi.BSDF):
         return front, lambda d: mi.Vector3f(d.x, d.y, dr.select(behind, -d.z, d.z))
 
     def _untraceable(self) -> bool:
-        """Whether a symbolic call is being traced, for which this pair would have to run torch.
+        """Whether a symbolic call is being traced in which this pair takes no part.
 
         Dr.Jit traces a call through every BSDF alive, whether or not it is in the scene that
         is rendered. The harness renders such a scene in evaluated mode, so it is another's call;
@@ -181,8 +185,12 @@ class SampledBSDF(mi.BSDF):
         """
         evaluated = self.nested is not None or self.eval_in_columns
         in_dr_jit = self.in_columns and evaluated and not self.own_eval
-        if in_dr_jit or not dr.flag(dr.JitFlag.SymbolicScope):
+        if not dr.flag(dr.JitFlag.SymbolicScope):
             return False
+        if in_dr_jit:
+            # In a scene that the harness renders so there is no such one: a network would be
+            # compiled into the kernel for nothing.
+            return passes.rendering() and not self.symbolic
         if not passes.rendering():
             raise RuntimeError(
                 f"'{self.method.name}' on '{self.material.name}' runs in PyTorch, which cannot be"

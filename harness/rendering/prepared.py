@@ -38,7 +38,11 @@ _around: weakref.WeakValueDictionary[str, Material] = weakref.WeakValueDictionar
 
 @dataclass
 class Prepared:
-    """``render`` as often as wanted; ``mask`` [H, W] are the pixels that count."""
+    """``render`` as often as wanted; ``mask`` [H, W] are the pixels that count.
+
+    ``symbolic``: as one kernel, Mitsuba's default; otherwise in evaluated mode, see
+    :func:`passes.evaluated_mode`.
+    """
 
     scene: mi.Scene
     integrator: mi.Integrator
@@ -52,7 +56,11 @@ class Prepared:
     def render(self, spp: int, seed: int) -> passes.Pass:
         """``spp`` samples per pixel; see :func:`passes.render`."""
         with counting.into(self.meter.counts) if self.meter else contextlib.nullcontext():
-            return passes.render(self.scene, self.integrator, spp, seed, self.symbolic)
+            return passes.render(self.scene, self.integrator, spp, seed, self._as_one_kernel())
+
+    def _as_one_kernel(self) -> bool:
+        """A meter needs call by call."""
+        return self.symbolic and getattr(self.bsdf, "meter", None) is None
 
     @cached_property
     def mask(self) -> np.ndarray:
@@ -171,7 +179,9 @@ def _placed(
         if isinstance(bsdf, plugin.SampledBSDF):
             bsdf.spread = pixel_angle(loaded.sensors()[0])
     integrator = build.integrator(recipe)
-    return Prepared(loaded, integrator, placed, False, recipe, meter, tuple(kept))
+    ours = [b for b in (placed, *made.values()) if isinstance(b, plugin.SampledBSDF)]
+    symbolic = meter is None and all(b.symbolic for b in ours)
+    return Prepared(loaded, integrator, placed, symbolic, recipe, meter, tuple(kept))
 
 
 def pixel_angle(sensor: mi.Sensor) -> float:

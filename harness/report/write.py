@@ -17,13 +17,13 @@ from harness.report.formats.csv import csv
 from harness.report.formats.latex import latex
 from harness.report.formats.markdown import markdown
 from harness.report.parts import parts
+from harness.report.place import forget_old, writing_to
 from harness.report.table import Table
 from harness.report.unplanned import planned_only
 
 if TYPE_CHECKING:
     from harness.report.figures.canvas import Drawn
 
-_LIST = "files.txt"
 _FORMATS = {"md": markdown, "csv": csv, "tex": latex}
 
 
@@ -53,14 +53,17 @@ class Report:
         Files of an earlier report that are no longer made are removed. ``notify`` is told what is
         left out and why.
         """
+        report = self.results.folder / "report"
+        with writing_to(report):
+            return self._written(report, notify)
+
+    def _written(self, report: Path, notify: Callable[[str], None]) -> list[Path]:
         # Figures take matplotlib, which printing tables does not.
         from harness.report import drawing
         from harness.report.page.build import PARTS, Page, page
         from harness.report.workers import together
 
         skipped = list(self.skipped)
-        report = self.results.folder / "report"
-        report.mkdir(exist_ok=True)
         written = []
         for table in self.tables:
             for end, form in _FORMATS.items():
@@ -84,7 +87,7 @@ class Report:
         written.insert(0, index)
         for message in skipped:
             notify(f"left out: {message}")
-        _forget_old(report, written)
+        forget_old(report, written)
         return written
 
     def print(self, console: Console) -> None:
@@ -125,18 +128,6 @@ def _names(results: Results, kind: str, known: dict) -> list[str]:
         if name not in known:
             raise InputError(f"report.{kind}: no such one: '{name}'{nearest(name, known)}")
     return list(known) if wanted is None else wanted
-
-
-def _forget_old(report: Path, written: list[Path]) -> None:
-    """Remove what an earlier report listed and this one did not make: it would be stale."""
-    listed = report / _LIST
-    now = [path.relative_to(report).as_posix() for path in written]
-    before = listed.read_text(encoding="utf-8").splitlines() if listed.is_file() else []
-    for name in set(before) - set(now):
-        path = (report / name).resolve()
-        if path.is_relative_to(report.resolve()):
-            path.unlink(missing_ok=True)
-    listed.write_text("\n".join(now) + "\n", encoding="utf-8")
 
 
 def load(results_dir: str | Path) -> Report:

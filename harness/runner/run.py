@@ -11,6 +11,7 @@ from rich.console import Console
 from rich.text import Text
 
 from harness.analysis.renew import renew
+from harness.core.compiled import library
 from harness.core.protocol.errors import InputError
 from harness.measures.base import FAILED
 from harness.runner import executor as executors
@@ -70,6 +71,8 @@ def run(plan: Plan, results: Path, options: Options, console: Console) -> int:
             preflight.check_trials(plan, todo.trials)
             _write_plan(plan, store)
             _say(console, f"{results}: {_counted(todo)}")
+            if todo.trials and plan.device == "cpu" and (reason := library.why_not()):
+                _say(console, f"no compiled kernels ({reason}): {library.WITHOUT}", "yellow")
             if plan.note:
                 _say(console, f"profile {plan.profile}: {plan.note}", "yellow")
             _explain(todo, console)

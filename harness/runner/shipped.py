@@ -3,11 +3,14 @@
 One file per fit, ``harness/fitted/MATERIAL--METHOD--KEY.safetensors``: the state, and in the
 metadata what the fit was (:func:`described`) and its record: seconds, machine, versions, loss.
 A trial that is answered from here keeps the stored record, with the machine and the time of
-day it was taken at, and says so under ``shipped``.
+day it was taken at, and says so under ``shipped``. ``checksums.txt`` beside them has the SHA-256 of
+each (``sha256sum --check`` reads it); a file that is not what was stored answers no fit, which is
+then run.
 """
 
 from __future__ import annotations
 
+import hashlib
 import json
 from functools import lru_cache
 from pathlib import Path
@@ -18,6 +21,7 @@ from harness.core.paths import ROOT
 from harness.core.protocol.errors import InputError
 from harness.identity.verdict import ADAPTER, MATERIAL, MEASURE, TRAINING, VERSIONS
 from harness.measures.base import Outcome
+from harness.store import files
 from harness.store.stored import Stored
 from harness.suite.trials import FIT, Trial, hash_of
 
@@ -25,6 +29,7 @@ FOLDER = ROOT / "harness" / "fitted"
 FORMAT = "fitted-sampler 2"
 KEPT_PARTS = (ADAPTER, TRAINING, MATERIAL, MEASURE, VERSIONS)
 """Digests that are kept with a state: what it was fitted with."""
+CHECKSUMS = "checksums.txt"
 _STATE, _ARRAY = "state.", "array."
 
 
@@ -51,8 +56,17 @@ def key(trial: Trial) -> str:
 
 
 def find(trial: Trial, folder: Path = FOLDER) -> Path | None:
-    """The file that answers a fit, if there is one."""
-    return _index(folder).get(key(trial)) if trial.measure == FIT else None
+    """The file that answers a fit, if there is one that is what was stored."""
+    path = _index(folder).get(key(trial)) if trial.measure == FIT else None
+    return None if path is None or _damaged(path) else path
+
+
+def damaged(trial: Trial, folder: Path = FOLDER) -> str:
+    """Why the file that would answer a fit is not taken; "" if it is, or there is none."""
+    path = _index(folder).get(key(trial)) if trial.measure == FIT else None
+    if path is None or not _damaged(path):
+        return ""
+    return f"{path}: does not match its checksum; fitted again instead"
 
 
 def load(path: Path) -> tuple[Outcome, dict[str, Any]]:
@@ -71,7 +85,8 @@ def load(path: Path) -> tuple[Outcome, dict[str, Any]]:
             raise ValueError(f"format is {metadata.get('format')!r}")
         about = json.loads(metadata["record"])
         values = {record["metric"]: record["value"] for record in about.pop("records")}
-    except (OSError, SafetensorError, ValueError, KeyError, TypeError) as error:
+        about["started"], about["seconds"], about["environment"], about["parts"]
+    except (OSError, SafetensorError, ValueError, KeyError, TypeError, RecursionError) as error:
         raise InputError(f"{path}: not a fitted sampler: {error}; --refit does without") from None
     arrays = {n.removeprefix(_ARRAY): t.numpy() for n, t in tensors.items() if n.startswith(_ARRAY)}
     state = {n.removeprefix(_STATE): t for n, t in tensors.items() if n.startswith(_STATE)}
@@ -83,7 +98,7 @@ def save(trial: Trial, stored: Stored, folder: Path = FOLDER) -> Path | None:
 
     An older file of the same material and method is left: it answers another budget or seed.
     """
-    from safetensors.torch import save_file
+    from safetensors.torch import save as packed
 
     if stored.status != "ok" or not stored.has_state:
         return None
@@ -108,15 +123,59 @@ def save(trial: Trial, stored: Stored, folder: Path = FOLDER) -> Path | None:
         "record": json.dumps(about, sort_keys=True),
     }
     folder.mkdir(parents=True, exist_ok=True)
-    path = folder / f"{trial.material}--{_plain(trial.method)}--{key(trial)}.safetensors"
-    save_file(tensors, path, metadata=metadata)
-    _index.cache_clear()
+    path = folder / name_of(trial)
+    content = packed(tensors, metadata)
+    files.put(path, content)
+    known = _checksums(folder) | {path.name: hashlib.sha256(content).hexdigest()}
+    lines = "".join(f"{digest}  {name}\n" for name, digest in sorted(known.items()))
+    files.put(folder / CHECKSUMS, lines.encode())
+    for cache in (_index, _checksums, _damaged):
+        cache.cache_clear()
     return path
+
+
+def name_of(trial: Trial) -> str:
+    """The name of the file that keeps a fit."""
+    return f"{trial.material}--{_plain(trial.method)}--{key(trial)}.safetensors"
+
+
+def is_folder_of_fits(folder: Path) -> bool:
+    """Whether all that a folder holds are fitted samplers; some are there, or their checksums."""
+    names = {path.name for path in folder.iterdir()}
+    return CHECKSUMS in names or all(is_fit(folder / name) for name in names)
+
+
+def is_fit(path: Path) -> bool:
+    """Whether a file is a fitted sampler, as far as its description tells."""
+    from safetensors import SafetensorError, safe_open
+
+    try:
+        with safe_open(path, framework="pt") as file:
+            return (file.metadata() or {}).get("format") == FORMAT
+    except (OSError, SafetensorError):
+        return False
 
 
 @lru_cache(maxsize=8)
 def _index(folder: Path) -> dict[str, Path]:
     return {path.stem.rpartition("--")[2]: path for path in sorted(folder.glob("*.safetensors"))}
+
+
+@lru_cache(maxsize=8)
+def _checksums(folder: Path) -> dict[str, str]:
+    """SHA-256 by name; nothing is known of a file that is not named."""
+    try:
+        lines = (folder / CHECKSUMS).read_text("utf-8", "replace").splitlines()
+    except OSError:
+        return {}
+    pairs = (line.partition("  ") for line in lines)
+    return {name: digest for digest, gap, name in pairs if gap}
+
+
+@lru_cache(maxsize=4096)
+def _damaged(path: Path) -> bool:
+    wanted = _checksums(path.parent).get(path.name)
+    return wanted is not None and hashlib.sha256(path.read_bytes()).hexdigest() != wanted
 
 
 def _plain(label: str) -> str:

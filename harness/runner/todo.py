@@ -76,7 +76,7 @@ def make_todo(
     unless those are to be tried again. One that was skipped is done as soon as it can be. With
     ``refit``, fits that came with the harness, and what was measured with them, are to be done.
     """
-    by_hash = {trial.hash: trial for trial in plan.trials}
+    by_hash = _one_label_each(plan)
     verdicts = {h: validity.verdict(by_hash[h]) for h in stored if h in by_hash}
     # A fit that came with the harness is data: other code would not make it another one.
     stale = {h: v for h, v in verdicts.items() if not (v.stands or stored[h].shipped)}
@@ -94,7 +94,7 @@ def make_todo(
         needs = [present.get(fit) for fit in needed_fits(plan, trial)]
         hopeless = any(n is not None and n.status != "ok" and _done(n, retry_failed) for n in needs)
         if found is None or not hopeless:
-            open_[trial.hash] = trial
+            open_[trial.hash] = by_hash[trial.hash]
     # What is to be measured has to be fitted, also if --only did not name the fit.
     for trial in [t for t in open_.values() if t.measure != FIT]:
         for fit in needed_fits(plan, trial):
@@ -102,10 +102,10 @@ def make_todo(
             usable = state is not None and (state.status != "ok" or state.has_state)
             if not (usable and _done(state, retry_failed)):
                 open_[fit] = by_hash[fit]
-    fits = [t for t in _unique(plan.trials) if t.measure == FIT and t.hash in open_]
+    fits = [t for t in by_hash.values() if t.measure == FIT and t.hash in open_]
     again = {fit.hash for fit in fits}
     doubtful = [t for t in selected if t.hash not in open_ and again & set(needed_fits(plan, t))]
-    open_ |= {trial.hash: trial for trial in doubtful}
+    open_ |= {trial.hash: by_hash[trial.hash] for trial in doubtful}
     groups = _groups(plan, [t for t in open_.values() if t.measure != FIT])
     units: dict[str, Unit] = {}
     for material in plan.labels("material"):
@@ -153,6 +153,13 @@ def _groups(plan: Plan, pending: list[Trial]) -> list[Group]:
     return groups
 
 
-def _unique(trials: list[Trial]) -> list[Trial]:
-    """Two labels for one and the same method share their trials."""
-    return list({trial.hash: trial for trial in reversed(trials)}.values())[::-1]
+def _one_label_each(plan: Plan) -> dict[str, Trial]:
+    """By hash, in order: two labels of one and the same method share their trials.
+
+    They go by the baseline's label where that is one of the two, else by the first.
+    """
+    found: dict[str, Trial] = {}
+    for trial in plan.trials:
+        if trial.hash not in found or trial.method == plan.baseline:
+            found[trial.hash] = trial
+    return found

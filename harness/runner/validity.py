@@ -9,12 +9,14 @@ from typing import Any
 
 from harness.analysis.renew import OUTDATED, analysis_digest, outdated
 from harness.core import machine, registry
+from harness.core.compiled import library
 from harness.identity.digests import Digests, Part, SourceDigest
 from harness.identity.ours import digests
 from harness.identity.verdict import (
     ADAPTER,
     BASELINE,
     BASELINE_STATE,
+    KERNELS,
     SCENE,
     VERSIONS,
     Verdict,
@@ -51,6 +53,9 @@ class Validity:
         """A digest per part, as they are now; of a fit that is not stored yet "" for its state."""
         found = {name: source.digest for name, source in self.sources(trial).items()}
         found[VERSIONS] = ", ".join(f"{k} {v}" for k, v in machine.versions().items())
+        here = trial.identity.get("machine") == machine.identity(self.plan.device)
+        if here and library.name() != library.FALLBACK:
+            found[KERNELS] = library.name()
         for part, fit in self._fits(trial).items():
             found[part] = self._state(fit)
         if self._compared(trial):

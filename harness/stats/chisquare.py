@@ -14,7 +14,8 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy import stats
+
+from harness.stats.distributions import chi2_sf
 
 
 class ChiSquare(NamedTuple):
@@ -67,7 +68,7 @@ def chi_square(
     members = np.flatnonzero(group == z.argmax())
     worst = int(members[np.abs(observed - expected)[members].argmax()])
     dof = len(o) - 1
-    return ChiSquare(statistic, dof, float(stats.chi2.sf(statistic, dof)), worst)
+    return ChiSquare(statistic, dof, float(chi2_sf(statistic, dof)), worst)
 
 
 def _pool(expected: np.ndarray, minimum: float) -> np.ndarray:

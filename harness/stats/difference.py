@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
 
+from harness.stats.distributions import t_quantile
 from harness.stats.intervals import Interval
 
 
@@ -70,5 +70,5 @@ def difference_of(products: NDArray, power: float) -> Difference:
     left = total - 2 * products.sum(1) + own - (squares - own)
     left_out = left / ((n - 1) * (n - 2) * power)
     error = np.sqrt((n - 1) / n * np.square(left_out - left_out.mean()).sum())
-    half = float(stats.t.ppf(0.975, n - 1) * error)
+    half = float(t_quantile(0.975, n - 1) * error)
     return Difference(Interval(value, value - half, value + half), noise_of(products) / power)

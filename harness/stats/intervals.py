@@ -8,8 +8,8 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy import stats
 
+from harness.stats.distributions import binomial_cdf, t_quantile
 from harness.stats.log_estimate import (
     LogEstimate,
     Seed,
@@ -44,7 +44,7 @@ def mean_interval(x: ArrayLike, seed: Seed = 0, level: float = 0.95) -> Interval
         return _interval(log_mean(x, seed), level)
     if len(x) < 2:
         return Interval(mean, float("nan"), float("nan"))
-    half = stats.t.ppf((1 + level) / 2, len(x) - 1) * x.std(ddof=1) / np.sqrt(len(x))
+    half = t_quantile((1 + level) / 2, len(x) - 1) * x.std(ddof=1) / np.sqrt(len(x))
     return Interval(mean, mean - float(half), mean + float(half))
 
 
@@ -82,7 +82,7 @@ def median_interval(x: ArrayLike, level: float = 0.95) -> Interval:
 @lru_cache(maxsize=1024)
 def _covered(k: int, n: int) -> float:
     """Exact level of [k-th smallest, k-th largest] of n values, k from 1."""
-    return 1 - 2 * float(stats.binom.cdf(k - 1, n, 0.5))
+    return 1 - 2 * float(binomial_cdf(k - 1, n, 0.5))
 
 
 def ratio_of_means(
@@ -159,7 +159,7 @@ def geometric_mean(x: ArrayLike, level: float = 0.95) -> Interval:
     middle = float(logs.mean())
     if len(logs) < 2:
         return Interval(float(np.exp(middle)), float("nan"), float("nan"))
-    half = stats.t.ppf((1 + level) / 2, len(logs) - 1) * logs.std(ddof=1) / np.sqrt(len(logs))
+    half = t_quantile((1 + level) / 2, len(logs) - 1) * logs.std(ddof=1) / np.sqrt(len(logs))
     return Interval(
         float(np.exp(middle)), float(np.exp(middle - half)), float(np.exp(middle + half))
     )

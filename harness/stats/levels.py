@@ -15,8 +15,8 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy import stats
 
+from harness.stats.distributions import chi2_isf, t_quantile
 from harness.stats.intervals import Interval
 from harness.stats.log_estimate import RESAMPLES, Seed
 
@@ -46,7 +46,7 @@ def two_level_mean(groups: Sequence[ArrayLike], seed: Seed = 0, level: float = 0
     if n < 2:
         return Interval(float(np.exp(middle)), float("nan"), float("nan"))
     error = float(means.std(ddof=1) / np.sqrt(n))
-    quantile = float(stats.t.ppf((1 + level) / 2, n - 1))
+    quantile = float(t_quantile((1 + level) / 2, n - 1))
     if n >= FEWEST_GROUPS:
         quantile = _two_level_quantile(logs, middle, np.random.default_rng(seed), level)
     half = quantile * error
@@ -67,7 +67,7 @@ def spread_by_level(values: Sequence[ArrayLike], errors: Sequence[ArrayLike]) ->
         nothing = float("nan")
         return Spread(render, Interval(nothing, nothing, nothing))
     square = sum(float(np.square(row - row.mean()).sum()) for row in rows)
-    bounds = (dof, stats.chi2.ppf(0.975, dof), stats.chi2.ppf(0.025, dof))
+    bounds = (dof, chi2_isf(0.025, dof), chi2_isf(0.975, dof))
     # A variance is not negative: what render noise alone explains leaves no training spread.
     training = (np.sqrt(max(square / bound - render**2, 0.0)) for bound in bounds)
     return Spread(render, Interval(*map(float, training)))

@@ -30,7 +30,8 @@ from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy import stats
+
+from harness.stats.distributions import t_quantile
 
 RESAMPLES = 4000
 FEWEST = 5
@@ -102,7 +103,7 @@ class LogEstimate:
         if not len(self.deviations):
             if not self.dof > 0:
                 return float("nan")
-            return float(stats.t.ppf((1 + level) / 2, self.dof)) * self.error
+            return float(t_quantile((1 + level) / 2, self.dof)) * self.error
         return float(np.quantile(self._studentised(), level, method="higher")) * self.error
 
     def draws(self, count: int, seed: Seed) -> NDArray:

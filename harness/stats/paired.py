@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy import stats
 
+from harness.stats.distributions import t_quantile
 from harness.stats.log_interval import LogInterval
 
 CORRELATED = 0.5
@@ -49,7 +49,7 @@ def paired_ratio(a: ArrayLike, b: ArrayLike, pixels: ArrayLike) -> Paired | None
     scale = 2 * math.sqrt(alone_x * alone_y)
     correlation = (alone_x + alone_y - together) / scale if scale > 0 else 0.0
     dof = a.shape[1] * (n - 1)
-    half = float(stats.t.ppf(0.975, dof)) * math.sqrt(together)
+    half = float(t_quantile(0.975, dof)) * math.sqrt(together)
     return Paired(LogInterval(theta, half, half), correlation, False)
 
 

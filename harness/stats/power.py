@@ -7,7 +7,7 @@ found with power :math:`\beta` from :math:`\delta = (z_{1-\alpha/2} + z_\beta)\,
 
 from __future__ import annotations
 
-from scipy import stats
+from harness.stats.distributions import normal_isf
 
 POWER = 0.95
 
@@ -18,7 +18,7 @@ def quantiles(level: float, power: float = POWER) -> float:
     That has two statistics, so each is held to half of the level (Sidak).
     """
     each = 1 - (1 - level) ** 0.5
-    return float(stats.norm.isf(each / 2) + stats.norm.isf(1 - power))
+    return float(normal_isf(each / 2) + normal_isf(1 - power))
 
 
 def detectable(error: float, level: float, power: float = POWER) -> float:

@@ -19,7 +19,8 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy import stats
+
+from harness.stats.distributions import chi2_isf
 
 Class = Literal["light", "heavy", "not resolved", "not diagnosed"]
 
@@ -129,10 +130,10 @@ def mean_excess(
     means = plain * np.exp(np.linspace(math.log(0.2), math.log(1e4), 161))
     profile = _profile(x, means, prior)
     best = int(profile.argmax())
-    inside = profile > profile[best] - stats.chi2.ppf(level, 1) / 2
+    inside = profile > profile[best] - chi2_isf(1 - level, 1) / 2
     first, last = int(inside.argmax()), len(means) - 1 - int(inside[::-1].argmax())
-    low = _crossing(means, profile, first, profile[best] - stats.chi2.ppf(level, 1) / 2, -1)
-    high = _crossing(means, profile, last, profile[best] - stats.chi2.ppf(level, 1) / 2, +1)
+    low = _crossing(means, profile, first, profile[best] - chi2_isf(1 - level, 1) / 2, -1)
+    high = _crossing(means, profile, last, profile[best] - chi2_isf(1 - level, 1) / 2, +1)
     return TailMean(float(means[best]), low, high)
 
 

@@ -24,9 +24,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy import stats
 
 from harness.stats import tails
+from harness.stats.distributions import pareto_sf, t_quantile
 from harness.stats.log_interval import Z95, LogInterval
 
 WIDEST = 10.0
@@ -186,7 +186,7 @@ def stranger(excess: tails.Excesses) -> bool:
     # Of few values an index below zero, a tail with an end, is mostly chance.
     k = max(tails.index(rest), 0.01)
     sigma = float(np.median(rest)) * k / (2**k - 1)
-    return bool(len(x) * stats.genpareto.sf(x[-1], k, scale=sigma) < STRANGER)
+    return bool(len(x) * pareto_sf(x[-1], k, sigma) < STRANGER)
 
 
 def _carried(value: float, d: Deviations) -> float:
@@ -195,7 +195,7 @@ def _carried(value: float, d: Deviations) -> float:
 
 
 def _normal(value: float, d: Deviations) -> LogInterval:
-    half = float(stats.t.ppf(0.975, d.dof)) * d.error / value
+    half = float(t_quantile(0.975, d.dof)) * d.error / value
     return LogInterval(math.log(value), half, half)
 
 

@@ -24,9 +24,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy import stats
 
 from harness.stats.blocks import SIZE, Blocks
+from harness.stats.distributions import chi2_sf, normal_isf, normal_sf, t_sf
 
 
 @dataclass(frozen=True)
@@ -130,9 +130,9 @@ def _compare(local: _Sums, whole: _Sums, m: int, large: NDArray, shape: tuple) -
     scores = _scores(local, m)
     counted = scores[large]
     statistic = float((counted**2).sum())
-    chi_p = float(stats.chi2.sf(statistic, len(counted)))
+    chi_p = float(chi2_sf(statistic, len(counted)))
     score = float(_scores(whole, m)[0])
-    global_p = float(2 * stats.norm.sf(abs(score)))
+    global_p = float(2 * normal_sf(abs(score)))
     others = np.arange(len(whole.mean)) != m
     reference = float(whole.mean[others, 0].mean())
     error = float(np.sqrt(_variance_of_difference(whole.variance, m)[0]))
@@ -163,7 +163,7 @@ def _scores(sums: _Sums, m: int) -> NDArray:
     # No noise at all: equal images agree perfectly, different ones not at all.
     t = np.where((variance == 0) & (difference == 0), 0.0, t)
     dof = np.where(scatter > 0, dof, np.inf)
-    return np.sign(t) * stats.norm.isf(stats.t.sf(np.abs(t), dof))
+    return np.sign(t) * normal_isf(t_sf(np.abs(t), dof))
 
 
 def _variance_of_difference(variance: NDArray, m: int) -> NDArray:

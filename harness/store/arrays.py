@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import sqlite3
 from collections.abc import Mapping
 from pathlib import Path
@@ -34,7 +35,30 @@ def read(
     Raises:
         InputError: one does not match its checksum.
     """
-    return {name: array_of(_intact(connection, folder, key, name, kept[name])) for name in kept}
+    found = {}
+    for name, wanted in kept.items():
+        data = _intact(connection, folder, key, name, wanted)
+        try:
+            found[name] = array_of(data)
+        except ValueError as error:
+            raise InputError(
+                f"{folder}: the stored array '{name}' of trial {key}: {error}"
+            ) from None
+    return found
+
+
+def names_of(text: object) -> dict[str, str]:
+    """Digests by name, as :mod:`harness.store.code` keeps those of a probe.
+
+    Of a text that is damaged one that nothing has, so that it is found to be.
+    """
+    try:
+        found = json.loads(text) if isinstance(text, str) else None
+    except (ValueError, RecursionError):
+        found = None
+    if isinstance(found, dict) and all(isinstance(kept, str) for kept in found.values()):
+        return found
+    return {"(its names)": ""}
 
 
 def damage(
@@ -69,7 +93,7 @@ def _intact(
     row = connection.execute("SELECT body FROM blob WHERE digest = ?", (wanted,)).fetchone()
     try:
         data = unpack(row[0]) if row else b""
-    except ValueError:
+    except (ValueError, TypeError):
         data = b""
     if digest(data) != wanted:
         raise InputError(

@@ -7,7 +7,8 @@ from collections.abc import Mapping
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
-from harness.store.packing import digest, json_bytes, pack, parsed, unpack
+from harness.store.forms import checked_body
+from harness.store.packing import MOST_TEXT, digest, json_bytes, pack, parsed, unpack
 from harness.store.stored import DAMAGED, LABELS, Stored
 
 if TYPE_CHECKING:
@@ -24,6 +25,7 @@ class Texts:
     def __init__(self, connection: sqlite3.Connection):
         self._connection = connection
         self._known: dict[str, Any] = {}
+        self._bad: dict[str, str] = {}
 
     def put(self, data: Mapping[str, Any]) -> dict[str, str]:
         """The values of ``data`` as digests; call it inside a transaction."""
@@ -33,9 +35,10 @@ class Texts:
             found[key] = digest(text)
             if found[key] not in self._known:
                 # What stands there under this digest may be damaged.
-                row = (found[key], pack(text))
+                row = (found[key], pack(text, most=MOST_TEXT))
                 self._connection.execute("INSERT OR REPLACE INTO text VALUES (?, ?)", row)
                 self._known[found[key]] = value
+                self._bad.pop(found[key], None)
         return found
 
     def get(self, data: Mapping[str, str]) -> dict[str, Any]:
@@ -45,15 +48,26 @@ class Texts:
             ValueError: a text is not what was put.
         """
         for kept in data.values():
+            if kept in self._bad:
+                raise ValueError(self._bad[kept])
             if kept not in self._known:
                 row = self._connection.execute(
                     "SELECT body FROM text WHERE digest = ?", (kept,)
                 ).fetchone()
-                text = unpack(row[0]) if row else b""
-                if digest(text) != kept:
-                    raise ValueError(f"the text {kept} does not match its checksum")
-                self._known[kept] = parsed(text)
+                try:
+                    self._known[kept] = _text_of(row[0] if row else None, kept)
+                except ValueError as error:
+                    # It is asked for by many trials, and may take long to be found bad.
+                    self._bad[kept] = str(error)
+                    raise
         return {key: self._known[kept] for key, kept in data.items()}
+
+
+def _text_of(body: Any, kept: str) -> Any:
+    text = unpack(body, most=MOST_TEXT) if isinstance(body, bytes) else b""
+    if digest(text) != kept:
+        raise ValueError(f"the text {kept} does not match its checksum")
+    return parsed(text)
 
 
 def body_of(
@@ -87,7 +101,7 @@ def stored_of(
     try:
         if digest(body) != checksum:
             raise ValueError("it does not match its checksum")
-        data = parsed(body)
+        data = checked_body(parsed(body))
         if data.pop("trial_key") != key:
             raise ValueError("it is another trial's")
         data["kept_arrays"] = data.pop("arrays")

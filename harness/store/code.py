@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
+from harness.store.arrays import names_of
 from harness.store.database import explained
 from harness.store.folder import ResultsFolder
-from harness.store.packing import json_bytes, pack, unpack
+from harness.store.forms import is_texts
+from harness.store.packing import json_bytes, pack, parsed, unpack
 
 if TYPE_CHECKING:
     import numpy as np
@@ -30,9 +31,10 @@ def units(results: ResultsFolder, digest: str) -> dict[str, str]:
     with explained(results.folder):
         row = results.run("SELECT body FROM units WHERE digest = ?", digest).fetchone()
     try:
-        return json.loads(unpack(row[0])) if row else {}
-    except ValueError:
+        found = parsed(unpack(row[0])) if row else {}
+    except (ValueError, TypeError):
         return {}  # damaged; they only explain
+    return found if is_texts(found) else {}
 
 
 def note_equivalent(results: ResultsFolder, part: str, old: str, new: str, shared: str) -> None:
@@ -82,4 +84,4 @@ def probe(results: ResultsFolder, part: str, digest: str) -> dict[str, np.ndarra
         row = results.run(
             "SELECT arrays FROM probe WHERE part = ? AND digest = ?", part, digest
         ).fetchone()
-    return results.arrays_named(f"probe {part} {digest}", json.loads(row[0]) if row else {})
+    return results.arrays_named(f"probe {part} {digest}", names_of(row[0]) if row else {})

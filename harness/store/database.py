@@ -10,7 +10,7 @@ from __future__ import annotations
 import os
 import sqlite3
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from pathlib import Path
 
 from harness.core.protocol.errors import InputError
@@ -24,6 +24,8 @@ MARK = 0x42534446
 """SQLite's ``application_id`` of a file of ours."""
 FORMAT = 2
 """SQLite's ``user_version``; a change of the tables makes it grow."""
+_LONGEST = 2**29
+"""Bytes of one value: no more than is stored, and not what a damaged length says."""
 _PATIENCE = 10.0
 """Seconds that a reader waits for a writer's transaction, and the other way round."""
 
@@ -82,6 +84,9 @@ def connect(folder: Path, write: bool = False) -> sqlite3.Connection:
             uri = f"{path.resolve().as_uri()}?mode={mode}"
             connection = sqlite3.connect(uri, timeout=_PATIENCE, isolation_level=None, uri=True)
             connection.execute("PRAGMA query_only = ON")
+        # A text that is damaged is another text, which its checksum tells.
+        connection.text_factory = lambda text: text.decode("utf-8", "replace")
+        connection.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, _LONGEST)
         try:
             _check(connection, folder, write)
         except BaseException:
@@ -106,12 +111,32 @@ def _check(connection: sqlite3.Connection, folder: Path, write: bool) -> None:
         raise Damaged(f"{folder / FILE}: is empty; harness run begins it anew")
     if mark != MARK:
         raise InputError(f"{folder / FILE}: is another program's database; choose another folder")
+    if version == FORMAT and _made(connection) != _MADE:
+        raise Damaged(f"{folder / FILE}: is damaged: its tables are not those of this format")
     if version != FORMAT:
         which = "an older" if version < FORMAT else "a newer"
         raise InputError(
             f"{folder / FILE}: results of {which} format ({version}; this version writes {FORMAT});"
             " run the suite again with another --out"
         )
+
+
+def _made(connection: sqlite3.Connection) -> set[tuple[str, ...]]:
+    """Type, name and definition of all that is in the database, but indices of its own making."""
+    found = connection.execute(
+        "SELECT type, name, sql FROM sqlite_master WHERE name NOT LIKE 'sqlite_%'"
+    )
+    return {(str(kind), str(name), " ".join(str(sql).split())) for kind, name, sql in found}
+
+
+def _of_this_format() -> set[tuple[str, ...]]:
+    with closing(sqlite3.connect(":memory:")) as connection:
+        connection.executescript(_TABLES)
+        return _made(connection)
+
+
+_MADE = _of_this_format()
+"""What a file has: a view or trigger beside it, which another put there, would be run by us."""
 
 
 @contextmanager
@@ -138,7 +163,8 @@ def explained(folder: Path) -> Iterator[None]:
         yield
     except sqlite3.OperationalError as error:
         raise InputError(f"{folder / FILE}: {_sentence(str(error))}") from error
-    except sqlite3.DatabaseError as error:
+    except (sqlite3.DatabaseError, UnicodeDecodeError) as error:
+        # The latter: SQLite's own message names a table by bytes that are no text.
         raise Damaged(
             f"{folder / FILE}: is damaged ({error}); harness run sets it aside, keeps what can be"
             " read and measures the rest again"

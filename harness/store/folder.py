@@ -21,10 +21,19 @@ from typing import TYPE_CHECKING, Any, Self
 
 from harness.core.protocol.errors import InputError
 from harness.store import arrays as raw
-from harness.store import files
+from harness.store import census, files
 from harness.store.bodies import Texts, body_of, stored_of
 from harness.store.database import Damaged, connect, explained, transaction
-from harness.store.packing import digest, json_bytes, pack, packed_together, parsed, unpack
+from harness.store.forms import checked_plan
+from harness.store.packing import (
+    MOST_TEXT,
+    digest,
+    json_bytes,
+    pack,
+    packed_together,
+    parsed,
+    unpack,
+)
 from harness.store.stored import LABELS, NOT_RUN, Stored
 
 if TYPE_CHECKING:
@@ -48,7 +57,7 @@ class ResultsFolder:
         self._texts = Texts(self._connection)
         with explained(self.folder):
             found = self.run("SELECT value FROM meta WHERE name = 'dictionary'").fetchone()
-        self._dictionary = found[0] if found else b""
+        self._dictionary = found[0] if found and isinstance(found[0], bytes) else b""
 
     def __enter__(self) -> Self:
         return self
@@ -105,9 +114,11 @@ class ResultsFolder:
     def put(self, trial: Stored, arrays: Mapping[str, np.ndarray], kept: Mapping[str, str]) -> None:
         """Inside of :meth:`writing`: what :meth:`save` does, for one of many trials."""
         body = body_of(trial, self._texts, self.keep_arrays(arrays), kept)
+        checksum = digest(body)
+        census.changed(self._connection, trial.hash, checksum)
         self.run(
             "INSERT OR REPLACE INTO trial VALUES (?, ?, ?)",
-            *(trial.hash, digest(body), pack(body, self._dictionary)),
+            *(trial.hash, checksum, pack(body, self._dictionary, MOST_TEXT)),
         )
 
     def save_records(self, trials: Mapping[str, Stored]) -> None:
@@ -115,9 +126,11 @@ class ResultsFolder:
         with self.writing():
             for key, trial in trials.items():
                 body = body_of(trial, self._texts, trial.kept_arrays, trial.files)
+                checksum = digest(body)
+                census.changed(self._connection, key, checksum)
                 self.run(
                     "UPDATE trial SET checksum = ?, body = ? WHERE trial = ?",
-                    *(digest(body), pack(body, self._dictionary), key),
+                    *(checksum, pack(body, self._dictionary, MOST_TEXT), key),
                 )
 
     def write_plan(self, head: Mapping[str, Any], rows: Iterable[Mapping[str, Any]]) -> None:
@@ -145,6 +158,7 @@ class ResultsFolder:
                     "INSERT INTO damaged SELECT trial, ?, ?, body FROM trial WHERE trial = ?",
                     *(noticed, reason, key),
                 )
+                census.changed(self._connection, key, None)
                 self.run("DELETE FROM trial WHERE trial = ?", key)
                 # A probe has a key of its own (:mod:`harness.store.code`).
                 self.run("DELETE FROM probe WHERE 'probe ' || part || ' ' || digest = ?", key)
@@ -163,7 +177,7 @@ class ResultsFolder:
         """
         with self.writing():
             bodies = {
-                key: unpack(body, self._dictionary)
+                key: unpack(body, self._dictionary, MOST_TEXT)
                 for key, body in self.run("SELECT trial, body FROM trial ORDER BY trial")
             }
             packed, self._dictionary = packed_together(bodies)
@@ -185,7 +199,7 @@ class ResultsFolder:
                 text = unpack(meta["plan"])
                 if digest(text) != meta.get("plan checksum"):
                     raise ValueError("it does not match its checksum")
-                plan = parsed(text)
+                plan = checked_plan(parsed(text))
                 for row in plan["trials"]:
                     row["identity"] = self._texts.get(row["identity"])
                 return plan
@@ -223,7 +237,7 @@ class ResultsFolder:
             return {
                 key: stored_of(reader, self._texts, key, checksum, self._unpacked(body))
                 for key, checksum, body in rows
-                if wanted is None or key in wanted
+                if isinstance(key, str) and (wanted is None or key in wanted)
             }
 
     def arrays(self, key: str) -> dict[str, np.ndarray]:
@@ -256,20 +270,35 @@ class ResultsFolder:
         if said != "ok":
             raise Damaged(f"{self.folder}: {said}")
 
+    def lost(self) -> str:
+        """Why trials that are not there may have been stored; "" if none was lost."""
+        with explained(self.folder):
+            if census.fits(self._connection):
+                return ""
+        return (
+            f"{self.folder}: trials that were stored are not there any more; harness run measures"
+            " them again"
+        )
+
+    def accept(self) -> None:
+        """Take the trials that are there for all that were stored (see :meth:`lost`)."""
+        with self.writing():
+            census.begin_anew(self._connection)
+
     # --- inside --------------------------------------------------------------------------------
 
     def _unpacked(self, body: bytes) -> bytes:
         """A trial's body; empty, which no checksum is of, if it is damaged."""
         try:
-            return unpack(body, self._dictionary)
-        except ValueError:
+            return unpack(body, self._dictionary, MOST_TEXT)
+        except (ValueError, TypeError):
             return b""
 
     def _named_arrays(self, trials: Mapping[str, Stored]) -> dict[str, dict[str, str]]:
         """Digests of arrays by name, of ``trials`` and of all probes, by their keys."""
         probes = self.run("SELECT 'probe ' || part || ' ' || digest, arrays FROM probe").fetchall()
         found = {key: trial.kept_arrays for key, trial in trials.items()}
-        return found | {key: parsed(arrays) for key, arrays in probes}
+        return found | {key: raw.names_of(arrays) for key, arrays in probes}
 
 
 def _arrays_of(folder: Path, key: str, kept: Mapping[str, str]) -> dict[str, np.ndarray]:

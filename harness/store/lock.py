@@ -9,12 +9,12 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from harness.core.protocol.errors import InputError
-from harness.store import files
-from harness.store.database import ASIDE, FILE, OLD_PLAN, Damaged, connect, is_ours
+from harness.store.database import FILE, OLD_PLAN, Damaged, connect, is_ours
 
-_LOCK = ".lock"
-_HARMLESS = (_LOCK, ".gitignore")
-_OURS = (FILE, files.FOLDER, "suite.yaml", "report", *_HARMLESS)
+LOCK = ".lock"
+_MARK = b"a results folder of the sampling benchmark\n"
+"""In the lock: by it a folder is ours whose database is damaged beyond recognition."""
+_HARMLESS = (LOCK, ".gitignore")
 
 
 @contextmanager
@@ -30,7 +30,7 @@ def locked(results: Path) -> Iterator[None]:
     claim(results)
     try:
         # No link is followed and nothing is truncated: the name may be another's.
-        file = os.open(results / _LOCK, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o644)
+        file = os.open(results / LOCK, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o644)
     except OSError as error:
         raise InputError(f"{results}: cannot be written: {error.strerror}") from None
     try:
@@ -40,8 +40,9 @@ def locked(results: Path) -> Iterator[None]:
             raise InputError(
                 f"{results}: another run is writing there; wait for it or choose another --out"
             ) from None
+        _mark(file, results)
         if not (results / FILE).exists():
-            connect(results, write=True).close()  # from now on the folder carries our mark
+            connect(results, write=True).close()
         yield
     finally:
         os.close(file)
@@ -56,13 +57,9 @@ def claim(results: Path) -> None:
     if (results / FILE).is_file() or (results / OLD_PLAN).is_file():
         with suppress(Damaged):  # which a run sets aside
             connect(results).close()  # says what it is if it is not ours
-    if results.is_dir():
-        names = sorted(path.name for path in results.iterdir())
-        # A file that is damaged beyond recognition is ours if all beside it is.
-        ours = _OURS if FILE in names else _HARMLESS
-        others = [n for n in names if n not in ours and not n.startswith(f"{FILE}-")]
-        others = [n for n in others if not n.startswith(ASIDE)]
-        if others and not is_ours(results):
+    if results.is_dir() and not (is_ours(results) or _is_marked(results)):
+        others = sorted(path.name for path in results.iterdir() if not _is_begun(path))
+        if others:
             raise InputError(
                 f"{results}: holds other things than results ({', '.join(others[:3])}"
                 f"{', ...' if len(others) > 3 else ''}); expected an empty or a new folder"
@@ -71,3 +68,26 @@ def claim(results: Path) -> None:
         results.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InputError(f"{results}: cannot be made: {error.strerror}") from None
+
+
+def _mark(file: int, results: Path) -> None:
+    try:
+        if os.pread(file, 1, 0) == b"":
+            os.pwrite(file, _MARK, 0)
+    except OSError as error:
+        raise InputError(f"{results}: cannot be written: {error.strerror}") from None
+
+
+def _is_marked(results: Path) -> bool:
+    try:
+        with (results / LOCK).open("rb") as file:
+            return file.read(len(_MARK)) == _MARK
+    except OSError:
+        return False
+
+
+def _is_begun(path: Path) -> bool:
+    """Whether it is no more than what a run leaves that was killed as it began."""
+    if path.name == FILE or path.name.startswith(f"{FILE}-"):
+        return path.is_file() and path.stat().st_size == 0
+    return path.name in _HARMLESS

@@ -37,9 +37,14 @@ def mend(folder: Path, say: Callable[[str], None]) -> None:
         aside = _rebuild(folder)
         say(f"{folder / FILE}: was damaged; kept as {aside.name}, what can be read is taken over")
     with ResultsFolder(folder, write=True) as results:
+        lost = results.lost()
         found = damage(results)
         if found:
             results.set_aside(found)
+        if lost:
+            results.accept()
+    if lost:
+        say(lost)
     for reason in found.values():
         say(f"set aside and to be measured again: {reason}")
 
@@ -82,8 +87,10 @@ def _take_over(old: sqlite3.Connection, new: sqlite3.Connection) -> None:
             marks = ", ".join("?" * len(row))
             try:
                 new.execute(f"INSERT OR IGNORE INTO {table} VALUES ({marks})", row)
-            except sqlite3.ProgrammingError:
-                continue  # a value that no text or number can be made of
+            except (sqlite3.ProgrammingError, sqlite3.DataError, sqlite3.OperationalError) as error:
+                if "full" in str(error) or "disk I/O" in str(error):
+                    raise
+                continue  # a value that no text or number can be made of, a column too many
     new.commit()
 
 
@@ -92,6 +99,12 @@ def _readable(old: sqlite3.Connection, table: str) -> list[tuple]:
     found: dict[tuple, None] = {}
     # In the order of the pages one that is damaged costs its own rows; a table without rowids
     # has the order of its key.
+    kinds = "SELECT 1 FROM sqlite_master WHERE name = ? AND type = 'table'"
+    try:  # not a view, which may be without end
+        if old.execute(kinds, (table,)).fetchone() is None:
+            return []
+    except sqlite3.DatabaseError:
+        return []
     for order in ("rowid ASC", "rowid DESC", "1 ASC", "1 DESC"):
         try:
             for row in old.execute(f"SELECT * FROM {table} ORDER BY {order}"):

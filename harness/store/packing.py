@@ -13,6 +13,11 @@ if TYPE_CHECKING:
     import numpy as np
 
 _LEVEL = 9
+MOST = 2**27
+"""Bytes of one array or plan: no measure gives a tenth of it, and six megabytes may stand for it
+forty times over."""
+MOST_TEXT = 2**23
+"""Bytes of one trial's description, or of a text that trials share."""
 _WINDOW = 32768
 """Bytes that zlib looks back."""
 _SAMPLED = 24
@@ -29,24 +34,32 @@ def json_bytes(data: Any) -> bytes:
     return json.dumps(_plain(data), sort_keys=True, separators=(",", ":"), allow_nan=False).encode()
 
 
-def pack(data: bytes, dictionary: bytes = b"") -> bytes:
-    """Compressed; ``dictionary`` is a sample of what is often in such data."""
+def pack(data: bytes, dictionary: bytes = b"", most: int = MOST) -> bytes:
+    """Compressed; ``dictionary`` is a sample of what is often in such data.
+
+    Raises:
+        ValueError: it is of more than ``most`` bytes.
+    """
+    if len(data) > most:
+        raise ValueError(f"{len(data):,} bytes are too many to be stored; at most {most:,}")
     given = (zlib.DEFLATED, zlib.MAX_WBITS, zlib.DEF_MEM_LEVEL, zlib.Z_DEFAULT_STRATEGY)
     packer = zlib.compressobj(_LEVEL, *given, *([dictionary] if dictionary else []))
     return packer.compress(data) + packer.flush()
 
 
-def unpack(data: bytes, dictionary: bytes = b"") -> bytes:
+def unpack(data: bytes, dictionary: bytes = b"", most: int = MOST) -> bytes:
     """What :func:`pack` compressed with the same dictionary, or with none.
 
     Raises:
-        ValueError: not compressed by it, or cut off.
+        ValueError: not compressed by it, cut off, or of more than ``most`` bytes.
     """
     unpacker = zlib.decompressobj(zlib.MAX_WBITS, dictionary)
     try:
-        found = unpacker.decompress(data)
+        found = unpacker.decompress(data, most)
     except zlib.error as error:
         raise ValueError(f"cannot be decompressed: {error}") from None
+    if unpacker.unconsumed_tail:
+        raise ValueError(f"is more than {most:,} bytes, decompressed")
     if not unpacker.eof:
         raise ValueError("cannot be decompressed: it is cut off")
     return found
@@ -87,14 +100,24 @@ def array_bytes(array: np.ndarray) -> bytes:
 
 
 def array_of(data: bytes) -> np.ndarray:
-    """The array of :func:`array_bytes`."""
+    """The array of :func:`array_bytes`.
+
+    Raises:
+        ValueError: these are no bytes of it.
+    """
     import numpy as np
 
     head, _, body = data.partition(b"\n")
-    dtype, shape = json.loads(head)
-    size = math.prod(shape)
-    plain = _planes(body, np.dtype(dtype).itemsize, size)
-    return np.ndarray(shape, dtype, bytearray(plain) if size else None)
+    try:
+        name, shape = json.loads(head)
+        dtype = np.dtype(name)
+        size = math.prod(shape)
+        if dtype.hasobject or dtype.names or size * dtype.itemsize != len(body):
+            raise ValueError("its bytes are not those of its type and shape")
+        plain = _planes(body, dtype.itemsize, size)
+        return np.ndarray(shape, dtype, bytearray(plain) if size else None)
+    except (TypeError, SyntaxError, RecursionError, OverflowError) as error:
+        raise ValueError(f"is no array: {error}") from None
 
 
 def _planes(data: bytes, rows: int, columns: int) -> bytes:
@@ -110,7 +133,10 @@ def parsed(text: bytes | str) -> Any:
     Raises:
         ValueError: not JSON.
     """
-    return json.loads(text)
+    try:
+        return json.loads(text)
+    except RecursionError:
+        raise ValueError("lists and mappings too deep in each other") from None
 
 
 def _plain(data: Any) -> Any:

@@ -7,14 +7,17 @@ of fitted methods, which are large and can be fitted again, nor trials of earlie
 from __future__ import annotations
 
 import argparse
+import os
 import shutil
+import tempfile
 from collections.abc import Collection
 from dataclasses import replace
 from pathlib import Path
 
 from harness.store import code, files
+from harness.store.database import FILE
 from harness.store.folder import ResultsFolder
-from harness.store.lock import locked
+from harness.store.lock import LOCK, claim, locked
 from harness.store.stored import STATE
 
 _PICTURES = ("target", "pdf")
@@ -26,13 +29,33 @@ def publish(source: Path, target: Path, pictured: Collection[str] = ()) -> int:
 
     Images, and the densities that are drawn, are those of the ``pictured`` materials.
 
-    What ``target`` held is replaced once the copy is whole.
+    Results in ``target`` are replaced once the copy is whole; what else is there stays.
 
     Raises:
         InputError: ``source`` holds no results, or ``target`` holds something else.
     """
-    fresh = target.with_name(f".{target.name}-new")
-    shutil.rmtree(fresh, ignore_errors=True)
+    claim(target)
+    fresh = Path(tempfile.mkdtemp(prefix=f".{target.name}-", dir=target.parent))
+    try:
+        count = _copy(source, fresh, pictured)
+        with locked(target):
+            for name in (FILE, files.FOLDER, "suite.yaml"):
+                _replace(fresh / name, target / name)
+        (target / LOCK).unlink()
+    finally:
+        shutil.rmtree(fresh)
+    return count
+
+
+def _replace(fresh: Path, old: Path) -> None:
+    """Put what is fresh, if anything, in the place of a file or folder of ours."""
+    if old.is_dir():
+        shutil.rmtree(old)
+    if fresh.exists():
+        os.replace(fresh, old)
+
+
+def _copy(source: Path, fresh: Path, pictured: Collection[str]) -> int:
     with ResultsFolder(source) as old, locked(fresh), ResultsFolder(fresh, write=True) as new:
         plan, trials = old.plan(), old.trials()
         new.write_plan({k: v for k, v in plan.items() if k != "trials"}, plan["trials"])
@@ -59,11 +82,6 @@ def publish(source: Path, target: Path, pictured: Collection[str] = ()) -> int:
                 code.save_probe(new, part, digest, *about, code.probe(old, part, digest))
         new.compact()
     shutil.copyfile(source / "suite.yaml", fresh / "suite.yaml")
-    (fresh / ".lock").unlink(missing_ok=True)
-    with locked(target):
-        pass  # refuses a folder that is not ours
-    shutil.rmtree(target)
-    fresh.rename(target)
     return len(wanted)
 
 

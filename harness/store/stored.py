@@ -80,21 +80,29 @@ class Stored:
         from harness.mitsuba_runtime import exr
         from harness.store.files import checked
 
-        names = sorted(name for name in self.files if name != STATE)
-        return {
-            name.removesuffix(".exr"): exr.read(checked(self._folder, name, self.files[name]))
-            for name in names
-        }
+        found = {}
+        for name in sorted(name for name in self.files if name != STATE):
+            path = checked(self._folder, name, self.files[name])
+            try:
+                found[name.removesuffix(".exr")] = exr.read(path)
+            except RuntimeError as error:
+                raise InputError(f"{path}: is no picture: {error}") from None
+        return found
 
     def tensors(self, device: str = "cpu") -> dict[str, torch.Tensor]:
         """State of the fitted method."""
+        from safetensors import SafetensorError
         from safetensors.torch import load_file
 
         from harness.store.files import checked
 
         if not self.has_state:
             raise InputError(f"{self.folder}: {self.hash} holds no state of a fitted method")
-        return load_file(checked(self._folder, STATE, self.files[STATE]), device=device)
+        path = checked(self._folder, STATE, self.files[STATE])
+        try:
+            return load_file(path, device=device)
+        except SafetensorError as error:
+            raise InputError(f"{path}: is no state of a fitted method: {error}") from None
 
     @property
     def has_state(self) -> bool:

@@ -12,9 +12,11 @@ import yaml
 from pydantic import ValidationError
 
 from harness.core.paths import SUITES
+from harness.core.plain import check_plain
 from harness.core.protocol.errors import InputError, Mistakes, nearest
 from harness.core.refusal import refusals
-from harness.core.yamlfile import parse_yaml, read_yaml
+from harness.core.text import printable
+from harness.core.yamlfile import parse_yaml, read_text, read_yaml
 from harness.suite.material_folders import spread
 from harness.suite.schema import MethodSpec, NamedSpec, Suite
 from harness.suite.sweep import expand
@@ -66,28 +68,32 @@ def load(name: str | Path, tuned: bool = True) -> Loaded:
     Without ``tuned``, parameters that are found by ``harness tune`` are left out.
     """
     path = find(name)
-    try:
-        text = path.read_text(encoding="utf-8")
-        data = parse_yaml(text, str(path))
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror}") from None
-    except UnicodeDecodeError:
-        raise InputError(f"{path}: not a text file; expected a suite in YAML") from None
-    return checked(data, path, text, tuned)
+    text = read_text(path, "a suite in YAML")
+    return checked(parse_yaml(text, str(path)), path, text, tuned)
 
 
 def from_data(data: Any) -> Loaded:
     """A suite from a dictionary, as YAML would give it. Files are meant from the working folder."""
     name = data.get("name") if _is_map(data) else None
     # Not a file; what is said of the suite begins with it.
-    return checked(copy.deepcopy(data), Path(f"suite '{name}'"), yaml.safe_dump(data))
+    where = f"suite {printable(repr(name), '')[:100]}"
+    check_plain(data, where)
+    return checked(copy.deepcopy(data), Path(where), yaml.safe_dump(data))
 
 
 def checked(data: Any, path: Path, text: str, tuned: bool = True) -> Loaded:
     """The suite that ``data`` describes; ``path`` is what messages call it, ``text`` is kept.
 
-    ``data`` may be written to. See :func:`load` for ``tuned``.
+    ``data`` is plain (:mod:`harness.core.plain`) and may be written to. See :func:`load` for
+    ``tuned``.
     """
+    try:
+        return _checked(data, path, text, tuned)
+    except OSError as error:  # a name of a file that no file can have, a folder that is not ours
+        raise InputError(f"{path}: {error.filename}: {error.strerror}") from None
+
+
+def _checked(data: Any, path: Path, text: str, tuned: bool) -> Loaded:
     if not isinstance(data, dict):
         raise InputError(f"{path}: expected a mapping with the keys name, materials, methods, ...")
     try:
@@ -233,10 +239,12 @@ def _check_references(suite: Suite) -> None:
         for key in ("seeds", "training_seeds"):
             labels[f"profiles.{name}.{key}"] = getattr(profile, key) or []
     for key, values in labels.items():
+        seen: set[Any] = set()
         for index, value in enumerate(values):
-            if value in values[:index]:
+            if value in seen:
                 more = "; give one of them another label" if key == "methods" else ""
                 raise InputError(f"{key}[{index}]: '{value}' is listed twice{more}")
+            seen.add(value)
     for index, method in enumerate(suite.methods):
         if method.measures is not None:
             where = f"methods[{index}].measures"

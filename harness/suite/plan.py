@@ -11,6 +11,7 @@ from typing import Any, TypeVar
 from harness.core import machine, registry
 from harness.core.protocol.errors import InputError, nearest
 from harness.core.protocol.method import Budget
+from harness.core.sizes import TRIALS
 from harness.identity.named_files import replaced
 from harness.measures import registry as measures
 from harness.suite import fast, seeds
@@ -178,7 +179,13 @@ class _Expansion:
             self.profile.seeds or self.suite.seeds,
             self.profile.training_seeds or self.suite.training_seeds,
         )
-        for material in _chosen(self.suite.materials, self.profile.materials):
+        chosen = _chosen(self.suite.materials, self.profile.materials)
+        scenes = _chosen(self.suite.scenes, self.profile.scenes)
+        each = sum(len(scenes) if kind.needs_scene else 1 for kind in self.kinds.values())
+        count = len(chosen) * len(pairs) * len(self.methods) * each
+        if count > TRIALS:
+            raise InputError(f"asks for {count:,} trials; expected at most {TRIALS:,}")
+        for material in chosen:
             for training, seed in pairs:
                 for method in self.methods:
                     # Of several seeds measured with one fit, that is planned once.

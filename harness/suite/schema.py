@@ -11,8 +11,8 @@ from typing import Annotated, Any, TypeVar
 from pydantic import BaseModel, ConfigDict, Field, PrivateAttr, model_validator
 
 from harness.core.schema import Strict, Word
+from harness.core.sizes import COUNT, Count, Name, Seconds, Seed, Side
 
-Positive = Annotated[int, Field(gt=0)]
 T = TypeVar("T")
 Some = Annotated[list[T], Field(min_length=1)]
 
@@ -20,13 +20,13 @@ Some = Annotated[list[T], Field(min_length=1)]
 class BudgetSpec(Strict):
     """Part of a fitting budget; what is left out keeps its default. See harness.Budget."""
 
-    steps: Annotated[int, Field(ge=0)] | None = None
-    conditions: Positive | None = None
-    directions: Positive | None = None
-    resolution: Positive | None = None
-    pool: Positive | None = None
-    max_seconds: Annotated[float, Field(gt=0)] | None = None
-    seconds: Annotated[float, Field(gt=0)] | None = None
+    steps: Annotated[int, Field(ge=0, le=COUNT)] | None = None
+    conditions: Count | None = None
+    directions: Count | None = None
+    resolution: Side | None = None
+    pool: Count | None = None
+    max_seconds: Seconds | None = None
+    seconds: Seconds | None = None
     until: Annotated[float, Field(gt=0, lt=1)] | None = None
 
     def given(self) -> dict[str, Any]:
@@ -50,7 +50,7 @@ class MethodSpec(Override):
     """
 
     name: str
-    label: str = ""
+    label: Name = ""
     measures: Some[str] | None = None
     sweep: Any = None  # checked there, where the message can name the knobs
 
@@ -77,7 +77,7 @@ class NamedSpec(BaseModel):
 
     model_config = ConfigDict(extra="allow", strict=True)
 
-    name: str
+    name: Name
 
     def rest(self) -> dict[str, Any]:
         """All entries but the name."""
@@ -97,9 +97,9 @@ class Profile(Strict):
     materials: Some[str] | None = None
     methods: Some[str] | None = None
     scenes: Some[str] | None = None
-    seeds: Some[int] | None = None
-    training_seeds: Some[int] | None = None
-    resolution: Positive | None = None
+    seeds: Some[Seed] | None = None
+    training_seeds: Some[Seed] | None = None
+    resolution: Side | None = None
     budget: BudgetSpec = BudgetSpec()
     measures: dict[str, dict[str, Any]] = {}
     override: dict[str, Override] = {}
@@ -119,10 +119,10 @@ class Suite(Strict):
     methods: Some[MethodSpec]
     scenes: list[NamedSpec] = []
     measures: Some[NamedSpec]
-    seeds: Some[int] = [0]
-    training_seeds: Some[int] | None = None
+    seeds: Some[Seed] = [0]
+    training_seeds: Some[Seed] | None = None
     baseline: str | None = None
-    resolution: Positive | None = None
+    resolution: Side | None = None
     tuned: str | None = None
     parameters: dict[str, bool | int | float | str] = {}
     budget: BudgetSpec = BudgetSpec()

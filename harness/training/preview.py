@@ -9,6 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from harness.core.pictures import MARK
 from harness.core.protocol.errors import InputError
 from harness.materials.neural import files, storage, textures
 from harness.materials.neural.network import NeuralMBTF
@@ -53,7 +54,7 @@ def write(
         for answer in _answers(surface, network, spp, device)
     ]
     out = out or Path(f"{name}-preview.png")
-    _figure(rows, name).savefig(out, dpi=100)
+    _figure(rows, name).savefig(out, dpi=100, metadata=MARK)
     return out
 
 

@@ -7,9 +7,9 @@ from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
 
 from harness.core.record import Numbers, Raw, Record
+from harness.stats.distributions import t_quantile
 from harness.stats.intervals import median_interval
 
 
@@ -22,9 +22,9 @@ def numbers(raw: Raw) -> Numbers:
     # A logarithm needs an error above the reference's noise; levels below it say nothing.
     usable = mse > 0
     if usable.sum() >= 3:
-        fit = stats.linregress(np.log(spp[usable]), np.log(mse[usable]))
-        reach = stats.t.ppf(0.975, int(usable.sum()) - 2) * fit.stderr
-        slope = (float(fit.slope + d) for d in (0.0, -reach, reach))
+        (fit, _), covariance = np.polyfit(np.log(spp[usable]), np.log(mse[usable]), 1, cov=True)
+        reach = t_quantile(0.975, int(usable.sum()) - 2) * math.sqrt(covariance[0, 0])
+        slope = (float(fit + d) for d in (0.0, -reach, reach))
         records.append(Record("slope", *slope, "1"))
     return Numbers(records)
 
@@ -39,7 +39,7 @@ def curve_of(arrays: Mapping[str, NDArray]) -> dict[str, NDArray]:
     times = np.array([median_interval(row) for row in arrays["all_seconds"]])
     mse, n = errors.mean(1), errors.shape[1]
     half = (
-        stats.t.ppf(0.975, n - 1) * errors.std(1, ddof=1) / math.sqrt(n)
+        t_quantile(0.975, n - 1) * errors.std(1, ddof=1) / math.sqrt(n)
         if n > 1
         else np.full_like(mse, math.nan)
     )

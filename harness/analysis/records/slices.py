@@ -25,8 +25,8 @@ def divergences(arrays: Mapping[str, NDArray]) -> tuple[NDArray, NDArray]:
     target, pdf = arrays["target"], arrays["pdf"]
     inside = _inside(target.shape[-1])
     p_star, p = target[:, inside].astype(float), pdf[:, inside].astype(float)
-    area = (2 / target.shape[-1]) ** 2 * int(inside.sum())
-    return kl_divergence(p_star, p, area), mean_squared_error(p_star, p)
+    cell = (2 / target.shape[-1]) ** 2
+    return kl_divergence(p_star, p, cell), mean_squared_error(p_star, p, cell)
 
 
 def _inside(n: int) -> NDArray[np.bool_]:

@@ -8,6 +8,8 @@ import drjit as dr
 import torch
 from torch import Tensor
 
+from harness.core.compiled.transpose import transposed
+
 Float = Any
 """A Dr.Jit 32-bit float array (``drjit.llvm.ad.Float`` or ``drjit.cuda.ad.Float``)."""
 
@@ -31,13 +33,21 @@ def columns_of(rows: Tensor) -> Columns:
     """
     array = backend(rows.device).Float
     rows = rows.detach().float()
+    if len(rows) > 1 and rows.stride(0) != 1 and rows.device.type == "cpu":
+        rows = transposed(rows).T
     return [array(rows[:, i].contiguous()) for i in range(rows.shape[1])]
 
 
-def tensor_of(*columns: Float, rows: int) -> Tensor:
-    """Arrays as one tensor, [rows, len(columns)], or [rows] for a single array."""
+def tensor_of(*columns: Float, rows: int, by_columns: bool = False) -> Tensor:
+    """Arrays as one tensor, [rows, len(columns)], or [rows] for a single array.
+
+    ``by_columns`` stores it column by column, which is quicker, and :func:`columns_of` of it copies
+    nothing; ``view`` may then refuse.
+    """
     dr.eval(columns)
     dr.sync_thread()
     # clone: an output may be an input's own memory, and the caller owns what it gets.
     tensors = [c.torch().expand(rows) for c in columns]
-    return tensors[0].clone() if len(tensors) == 1 else torch.stack(tensors, -1)
+    if len(tensors) == 1:
+        return tensors[0].clone()
+    return torch.stack(tensors).T if by_columns else torch.stack(tensors, -1)

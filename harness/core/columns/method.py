@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from typing import Any
+from typing import Any, ClassVar
 
 import torch
 from torch import Tensor
@@ -19,6 +19,10 @@ class ColumnMethod(Method):
     protocol are bridged to them, and a renderer that already has columns calls them
     directly, without leaving Dr.Jit.
     """
+
+    in_one_kernel: ClassVar[bool] = False
+    """Whether it runs well as part of a renderer's own kernel: without a network, whose
+    activations would go through the stack there."""
 
     @abstractmethod
     def sample_columns(self, c: Columns, u: Columns) -> tuple[Float, Float, Float]:
@@ -42,7 +46,7 @@ class ColumnMethod(Method):
             return DiskSample(condition.new_empty(0, 2), condition.new_empty(0))
         with torch.no_grad():
             x, y, pdf = self.sample_columns(columns_of(condition), columns_of(u))
-            packed = tensor_of(x, y, pdf, rows=n)
+            packed = tensor_of(x, y, pdf, rows=n, by_columns=True)
         return DiskSample(packed[:, :2], packed[:, 2])
 
     def sample_weighted(self, condition: Tensor, u: Tensor) -> WeightedSample:

@@ -5,19 +5,25 @@ from __future__ import annotations
 import difflib
 from collections.abc import Iterable
 
+from harness.core.text import one_line, shortened
+
 
 class InputError(ValueError):
     """A refused input: one line that says what, where and what was expected.
 
-    The command line prints it without a traceback and exits with status 2.
+    The command line prints it without a traceback and exits with status 2. What the text holds of
+    the input is made printable, and cut where it is long.
     """
+
+    def __init__(self, text: str = ""):
+        super().__init__(shortened(one_line(str(text))))
 
 
 class Mistakes(InputError):
     """Several refused inputs of one file; ``lines`` are all of them, the message the first."""
 
     def __init__(self, lines: Iterable[str]):
-        self.lines = list(dict.fromkeys(lines))
+        self.lines = list(dict.fromkeys(shortened(one_line(line)) for line in lines))
         more = len(self.lines) - 1
         said = f" (and {more} more, which 'harness validate' lists)" if more else ""
         super().__init__(f"{self.lines[0]}{said}")

@@ -8,6 +8,7 @@ their code, and without the packages they came from.
 
 from __future__ import annotations
 
+import math
 import pickle
 import zipfile
 from collections import OrderedDict
@@ -108,6 +109,8 @@ def _rebuild(storage: Any, offset: Any, size: Any, stride: Any, *_: Any) -> Any:
     last = offset + sum((n - 1) * s for n, s in zip(size, stride, strict=True) if n)
     if all(size) and last >= len(storage):
         raise pickle.UnpicklingError("a tensor reaches beyond its storage")
+    if math.prod(size) > len(storage):
+        raise pickle.UnpicklingError("a tensor has more elements than its storage")
     return torch.as_strided(storage, size, stride, offset).clone()
 
 
@@ -142,7 +145,11 @@ def tensors(path: Path, where: str = "") -> dict[str, Tensor]:
 
 
 def _content(path: Path) -> Any:
+    most = path.stat().st_size
     with zipfile.ZipFile(path) as archive:
+        # torch.save compresses nothing: what is larger than the file is no checkpoint.
+        if sum(member.file_size for member in archive.infolist()) > most:
+            raise pickle.UnpicklingError("its members are larger than the file")
         pickles = [name for name in archive.namelist() if name.endswith("data.pkl")]
         if len(pickles) != 1:
             raise zipfile.BadZipFile

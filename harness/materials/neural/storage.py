@@ -64,9 +64,15 @@ def load(path: Path, where: str = "") -> NeuralMBTF:
 
 def filled(architecture: Architecture, state: dict[str, Tensor], where: str) -> NeuralMBTF:
     """A network of that description with those tensors; refuses what does not fit it."""
-    with torch.random.fork_rng(devices=[]):
-        network = NeuralMBTF(architecture)
-    wanted = network.state_dict()
+    # Of the shapes alone: what a description says may be larger than any memory.
+    try:
+        if architecture.layers > len(state):
+            raise RuntimeError("more layers than there are tensors")
+        with torch.device("meta"):
+            wanted = NeuralMBTF(architecture).state_dict()
+    except (RuntimeError, OverflowError, TypeError) as error:
+        said = str(error).partition("\n")[0]
+        raise InputError(f"{where}: its description is of no network: {said}") from None
     for key, value in wanted.items():
         if key not in state:
             raise InputError(f"{where}: has no tensor '{key}'; expected it of {list(value.shape)}")
@@ -78,6 +84,8 @@ def filled(architecture: Architecture, state: dict[str, Tensor], where: str) -> 
     for key in state:
         if key not in wanted:
             raise InputError(f"{where}: tensor '{key}' is none of its description's")
+    with torch.random.fork_rng(devices=[]):
+        network = NeuralMBTF(architecture)
     network.load_state_dict({key: value.float() for key, value in state.items()})
     return network.eval()
 
@@ -129,7 +137,7 @@ def reflectance_hash(path: Path, where: str = "") -> str:
 def _json(found: dict[str, str], key: str, where: str) -> dict[str, Any]:
     try:
         data = json.loads(found.get(key, ""))
-    except ValueError:
+    except (ValueError, RecursionError):
         data = None
     if not isinstance(data, dict):
         raise InputError(f"{where}: metadata '{key}': expected a JSON mapping")

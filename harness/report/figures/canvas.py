@@ -55,6 +55,7 @@ _STYLE = {
     "savefig.facecolor": "white",
     "pdf.fonttype": 42,  # TrueType, so that the text of a PDF can be edited and searched
     "svg.hashsalt": "harness",
+    "text.parse_math": False,  # a name may have dollars in it
 }
 
 

@@ -4,9 +4,13 @@ from __future__ import annotations
 
 import csv as writer
 import io
+import re
 
+from harness.core.text import printable
 from harness.report.table import Cell, Table
 
+_FORMULA = ("=", "+", "-", "@", "\t", "\n")
+_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
 HEADER = ["section", "row", "column", "value", "ci_low", "ci_high", "best", "text", "note"]
 
 
@@ -18,7 +22,8 @@ def csv(table: Table) -> str:
     for section in table.sections:
         for row in section.rows:
             for column, cell in zip(table.columns, row.cells, strict=True):
-                lines.writerow([section.title, row.label, column, *_fields(cell)])
+                names = [plain(text) for text in (section.title, row.label, column)]
+                lines.writerow([*names, *_fields(cell)])
     return out.getvalue()
 
 
@@ -28,4 +33,11 @@ def _fields(cell: Cell) -> list[str]:
         for number in (cell.value, cell.low, cell.high)
     ]
     text = "†" if cell.missing else " ".join(part for part in cell.parts if part)
-    return [*numbers, "yes" if cell.bold else "no", text, cell.missing or cell.warning]
+    note = cell.missing or cell.warning
+    return [*numbers, "yes" if cell.bold else "no", plain(text), plain(note)]
+
+
+def plain(text: str) -> str:
+    """A text that no spreadsheet takes for a formula: with an apostrophe before it if need be."""
+    text = printable(text)
+    return f"'{text}" if text.startswith(_FORMULA) and not _NUMBER.fullmatch(text) else text

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import textwrap
 
+from harness.core.text import one_line
 from harness.report.table import Cell, Footnotes, Section, Table
 
 _SPECIAL = {
@@ -102,7 +103,7 @@ def _section(section: Section, count: int, notes: Footnotes, stacked: bool) -> l
 
 def escape(text: str) -> str:
     """Text that LaTeX prints as it is."""
-    return "".join(_SPECIAL.get(character, character) for character in text).replace("\n", " ")
+    return "".join(_SPECIAL.get(character, character) for character in one_line(text))
 
 
 def _heading(text: str) -> str:

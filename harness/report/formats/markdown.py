@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from harness.core.text import one_line
 from harness.report.table import Cell, Footnotes, Section, Table
 
 
@@ -23,9 +24,9 @@ def markdown(table: Table) -> str:
 
 def escape(text: str) -> str:
     """Text that Markdown prints as it is."""
-    for character in "\\`*_[]<>|":
+    for character in "\\`*_[]<>|&":
         text = text.replace(character, "\\" + character)
-    return text.replace("\n", " ")
+    return one_line(text)
 
 
 def _grid(table: Table, section: Section, notes: Footnotes) -> str:

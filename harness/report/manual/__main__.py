@@ -27,7 +27,10 @@ def main() -> None:
         print(manual(), end="")
         return
     path = Path(sys.argv[1])
-    path.write_text(renewed(path.read_text("utf-8"), manual()), encoding="utf-8")
+    text = path.read_text("utf-8")
+    if MARK not in text:
+        sys.exit(f"{path}: has no line {MARK!r}, below which it would be written anew")
+    path.write_text(renewed(text, manual()), encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -84,7 +84,7 @@ SETTINGS = {
     "reference_seconds": ("s", "of reference more, for the power of the test"),
     "reference_spp": ("samples a pixel", "of the reference image"),
     "repeats": ("renders", "of each level"),
-    "resolution": ("pixels across", "of a render; in `pdf` cells a side of the disk"),
+    "resolution": ("pixels across", "of a render; in `pdf` the root of the number of directions"),
     "resolutions": ("cells a side", "of the maps"),
     "rounds": ("rounds", "of the timing, in which the methods alternate"),
     "rows": ("rows", "of a timed call, exactly; null: see `batch`"),

@@ -41,6 +41,8 @@ def _environment(environment: dict) -> list[str]:
     if versions:
         said = ", ".join(f"{name} {version or '(none)'}" for name, version in versions.items())
         lines.append(f"Versions: {said}")
+    if environment.get("kernels"):
+        lines.append(f"Networks on the CPU: {environment['kernels']}")
     return lines
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from harness.analysis import numbers
 from harness.analysis.combine import Estimate
 from harness.analysis.results import MethodColumn, Results
-from harness.analysis.seeds import training_spread
+from harness.analysis.seeds import ONE_SEED, training_spread
 from harness.report.table import Cell, Row, Section, Table
 
 ORDER = 82
@@ -22,6 +22,9 @@ _LEGEND = (
 
 def training_seeds(results: Results) -> Table | str:
     """Sections quantities and scenes; rows materials and all of them together."""
+    seeds = len(set(results.training.values()))
+    if seeds < 2:
+        return f"{ONE_SEED}; a suite asks for more by training_seeds: [0, 1, 2]"
     sections = []
     for measure, metric, words in QUANTITIES:
         if not results.has(measure):
@@ -31,11 +34,10 @@ def training_seeds(results: Results) -> Table | str:
             sections.append(Section(title, _rows(results, measure, metric, scene)))
     if not sections:
         return "no trial of the measures equal-time and pdf is stored"
-    seeds = len(set(results.training.values()))
     return Table(
         name="training-seeds",
         title="Spread between training seeds",
-        caption=f"{seeds} training seed{'s' * (seeds != 1)} a method and material.",
+        caption=f"{seeds} training seeds a method and material.",
         corner="material",
         columns=[method.label for method in results.methods],
         sections=sections,

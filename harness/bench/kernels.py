@@ -1,0 +1,102 @@
+"""``python -m harness.bench.kernels``: networks over columns beside a matrix product.
+
+One line a network: GFLOP/s (multiplications and additions of the layers) of the compiled kernels,
+of Dr.Jit's cooperative vectors and of PyTorch on rows in chunks of 16,384, and in brackets their
+share of a square matrix product's. One thread; the clock of the processor, which other work on the
+machine lengthens less than that of the wall; shares are medians over interleaved rounds.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Callable
+from itertools import pairwise
+
+import drjit as dr
+import numpy as np
+import torch
+
+from harness.core.columns.bridge import columns_of
+from harness.core.compiled import library
+from harness.nets import compiled_network
+from harness.nets.encoding import Encoded
+from harness.nets.mlp import MLP
+
+NETWORKS = {
+    "improved baseline": ([30, 32, 32, 32, 5], "relu"),
+    "two-lobe": ([30, 32, 11], "relu"),
+    "spline coupling": ([39, 32, 32, 59], "leaky_relu"),
+    "histogram": ([10, 32, 32, 32, 1024], "relu"),
+    "width 64": ([32, 64, 64, 64, 64], "leaky_relu"),
+    "velocity, width 64": ([32, 64, 64, 64, 2], "silu"),
+}
+ROWS, CHUNK, SIDE = 1 << 15, 1 << 14, 768
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--rounds", type=int, default=25)
+    rounds = parser.parse_args().rounds
+    torch.set_num_threads(1)
+    dr.set_thread_count(1)
+    a, b = torch.randn(SIDE, SIDE), torch.randn(SIDE, SIDE)
+    print(f"compiled kernels: {library.name()} {library.why_not()}")
+    print(f"{'':20}{'':24}{'compiled':>16}{'Dr.Jit':>16}{'PyTorch':>16}{'product':>10}")
+    for name, (widths, activation) in NETWORKS.items():
+        # The whole histogram's outputs are 128 MB: fewer rows, as its batches have.
+        rows = ROWS // 8 if widths[-1] > 512 else ROWS
+        works = _works(widths, activation, rows) | {"product": lambda: a @ b}
+        seconds = _interleaved(works, rounds)
+        flops = 2 * sum(m * n for m, n in pairwise(widths)) * rows
+        product = 2 * SIDE**3 / seconds["product"]
+        line = f"{name:20}{'-'.join(map(str, widths)):24}"
+        for kind in ("compiled", "Dr.Jit", "PyTorch"):
+            if kind in seconds:
+                rate = flops / seconds[kind]
+                line += f"{np.median(rate) / 1e9:8.1f} ({np.median(rate / product):.2f})"
+            else:
+                line += f"{'-':>15}"
+        print(f"{line}{np.median(product) / 1e9:10.1f}", flush=True)
+
+
+def _works(widths: list[int], activation: str, rows: int) -> dict[str, Callable[[], object]]:
+    net = MLP(widths, activation).eval()
+    x = torch.randn(rows, widths[0])
+    columns = columns_of(x)
+    found: dict[str, Callable[[], object]] = {}
+    made = library.found()
+    if not isinstance(made, str):
+        packed, seen = net.compiled(made), Encoded.plain(columns)
+        found["compiled"] = lambda: packed(seen)
+
+    def cooperative() -> None:
+        compiled_network.found, kept = (lambda: "not now"), compiled_network.found
+        try:
+            dr.eval(net.columns(columns))
+            dr.sync_thread()
+        finally:
+            compiled_network.found = kept
+
+    def in_torch() -> None:
+        with torch.inference_mode():
+            for chunk in x.split(CHUNK):
+                net(chunk)
+
+    return found | {"Dr.Jit": cooperative, "PyTorch": in_torch}
+
+
+def _interleaved(works: dict[str, Callable[[], object]], rounds: int) -> dict[str, np.ndarray]:
+    """Seconds [rounds] of each, on the processor's clock, after one that compiles."""
+    times: dict[str, list[float]] = {name: [] for name in works}
+    for _ in range(rounds + 1):
+        for name, work in works.items():
+            start = time.process_time()
+            work()
+            times[name].append(time.process_time() - start)
+    return {name: np.array(values[1:]) for name, values in times.items()}
+
+
+if __name__ == "__main__":
+    main()

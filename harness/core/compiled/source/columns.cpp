@@ -1,0 +1,140 @@
+// Small networks over columns: one array per input and output, rows taken in blocks whose
+// activations stay in the first-level cache.
+//
+// Compiled once for each instruction set (build.py); WIDTH is the number of floats in a register.
+// Every output is bias + sum over inputs in order, by fused multiply-adds: the same bits whatever
+// the width, the block or the number of threads.
+
+#include "network.h"
+#include "splines.h"
+#include "transpose.h"
+
+namespace {
+
+constexpr int CHUNK = 8;  // blocks in a task of the thread pool
+
+struct Job {
+    const Network *net;
+    uint32_t rows;
+    const float *const *in;
+    const uint8_t *wide;  // whether a column has a value per row, or one for all
+    float *const *out;
+    int widest, use;
+};
+
+// Blocks [first, last) of a job.
+void work(const Job &job, uint32_t first, uint32_t last) {
+    const Network &net = *job.net;
+    const int in = net.columns + extra_columns(job.use);
+    const int numbers = net.layer[net.layers - 1].outputs, out = result_columns(job.use, numbers);
+    const size_t floats = size_t(in + net.encoded + 2 * job.widest + numbers + out) * BLOCK;
+    float *scratch = new float[floats + 16];
+    float *copied = scratch + ((64 - (reinterpret_cast<uintptr_t>(scratch) & 63)) & 63) / 4;
+    float *encoded = copied + in * BLOCK, *hidden = encoded + net.encoded * BLOCK;
+    float *raw_out = hidden + 2 * job.widest * BLOCK, *kept = raw_out + numbers * BLOCK;
+    const float *x[4096], *raw[4096];
+    float *y[4096], *to[4096];
+    for (int i = 0; i < in; i++)
+        if (!job.wide[i])
+            for (int row = 0; row < BLOCK; row++) copied[i * BLOCK + row] = job.in[i][0];
+    for (uint32_t block = first; block < last; block++) {
+        const size_t start = size_t(block) * BLOCK;
+        const int count = job.rows - start < BLOCK ? int(job.rows - start) : BLOCK;
+        for (int i = 0; i < in; i++) {
+            raw[i] = job.wide[i] ? job.in[i] + start : copied + i * BLOCK;
+            if (job.wide[i] && count < BLOCK) {
+                memset(copied + i * BLOCK, 0, BLOCK * sizeof(float));
+                memcpy(copied + i * BLOCK, raw[i], count * sizeof(float));
+                raw[i] = copied + i * BLOCK;
+            }
+        }
+        if (net.plain) {
+            for (int i = 0; i < net.columns; i++) x[i] = raw[i];
+        } else {
+            encode(net, raw, encoded);
+            for (int i = 0; i < net.encoded; i++) x[i] = encoded + i * BLOCK;
+        }
+        for (int j = 0; j < out; j++) to[j] = count < BLOCK ? kept + j * BLOCK : job.out[j] + start;
+        for (int j = 0; j < numbers; j++)
+            y[j] = job.use == OUTPUTS_THEMSELVES ? to[j] : raw_out + j * BLOCK;
+        if (net.activation == SILU)
+            layers<SILU>(net, x, y, hidden, job.widest);
+        else
+            layers<RELU>(net, x, y, hidden, job.widest);
+        if (job.use != OUTPUTS_THEMSELVES && job.use != NOTHING)
+            splines(job.use, raw_out, (numbers + 1) / 3, raw + net.columns, to);
+        if (count < BLOCK)
+            for (int j = 0; j < out; j++) memcpy(job.out[j] + start, to[j], count * sizeof(float));
+    }
+    delete[] scratch;
+}
+
+void task(uint32_t index, void *payload) {
+    const Job &job = **static_cast<Job **>(payload);
+    const uint32_t blocks = (job.rows + BLOCK - 1) / BLOCK;
+    const uint32_t first = index * CHUNK;
+    work(job, first, first + CHUNK < blocks ? first + CHUNK : blocks);
+}
+
+typedef void *(*Submit)(void *pool, const void *const *parents, uint32_t parent_count, uint32_t size,
+                        void (*function)(uint32_t, void *), void *payload, uint32_t payload_size,
+                        void (*deleter)(void *), int always_async, int profile);
+typedef void (*Wait)(void *task);
+
+}  // namespace
+
+extern "C" {
+
+// Weights [outputs][inputs] in the order in which `rows` reads them.
+void harness_pack(const float *weights, int32_t inputs, int32_t outputs, float *packed) {
+    int first = 0;
+    for (int g = 0; g < groups(outputs); g++) {
+        const int size = group_size(outputs, g);
+        for (int k = 0; k < inputs; k++)
+            for (int j = 0; j < size; j++) *packed++ = weights[(first + j) * inputs + k];
+        first += size;
+    }
+}
+
+// The network over `rows` rows, and what its outputs are used for; `submit` and `wait` are the thread pool's (null: in this thread).
+void harness_network(const Network *net, uint32_t rows, const float *const *in, const uint8_t *wide,
+                     float *const *out, int32_t use, Submit submit, Wait wait) {
+    int widest = 1;
+    for (int i = 0; i + 1 < net->layers; i++)
+        if (net->layer[i].outputs > widest) widest = net->layer[i].outputs;
+    Job job{net, rows, in, wide, out, widest, use};
+    const uint32_t blocks = (rows + BLOCK - 1) / BLOCK, tasks = (blocks + CHUNK - 1) / CHUNK;
+    if (!submit || tasks < 2) {
+        work(job, 0, blocks);
+        return;
+    }
+    Job *payload = &job;
+    void *made = submit(nullptr, nullptr, 0, tasks, task, &payload, sizeof(payload), nullptr, 1, 0);
+    wait(made);
+}
+
+// [rows][columns] at `from`, `stride` floats from row to row, to [columns][rows] at `to`.
+void harness_transpose(const float *from, int64_t stride, uint32_t rows, uint32_t columns, float *to,
+                       Submit submit, Wait wait) {
+    Table table{from, to, rows, columns, stride};
+    const uint32_t tasks = (rows + ROWS - 1) / ROWS;
+    if (!submit || tasks < 2) {
+        transpose(table, 0, rows);
+        return;
+    }
+    Table *payload = &table;
+    wait(submit(nullptr, nullptr, 0, tasks, transpose_task, &payload, sizeof(payload), nullptr, 1, 0));
+}
+
+// Exponential, sine and cosine of n values (a multiple of WIDTH), for tests.
+void harness_functions(const float *v, int32_t n, float *exponentials, float *sines, float *cosines) {
+    for (int i = 0; i < n; i += WIDTH) {
+        Floats s, c, x = load(v + i);
+        store(exponentials + i, exponential(x));
+        sine_and_cosine(x, s, c);
+        store(sines + i, s);
+        store(cosines + i, c);
+    }
+}
+
+}

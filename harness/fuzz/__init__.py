@@ -1,0 +1,1 @@
+"""Hostile input by the thousand: suites, stored results, material files."""

@@ -1,0 +1,182 @@
+"""A network over columns by the compiled kernels: weights packed once, columns by address."""
+
+from __future__ import annotations
+
+import ctypes
+import time
+from collections.abc import Sequence
+from typing import Any
+
+import drjit as dr
+import numpy as np
+
+from harness.core.columns.bridge import Columns, Float
+from harness.core.compiled import history
+from harness.core.compiled.library import Library, found
+from harness.core.compiled.memory import addresses, empty
+from harness.nets.encoding import Encoded
+
+MOST, MOST_BINS = 4096, 512
+"""Columns, and neurons of a layer, that the kernel has room for; bins of a spline."""
+_OUTPUTS, _WARP, _UNWARP, _DRAW, _NOTHING = range(5)
+_USES = ("outputs", "warp", "unwarp", "draw", "nothing")
+_ACTIVATIONS = {"relu": 0, "leaky_relu": 0, "silu": 1}
+
+
+class _Input(ctypes.Structure):
+    _fields_ = [
+        *((name, ctypes.c_int32) for name in ("encoding", "place", "step", "frequencies")),
+        *((name, ctypes.c_float) for name in ("mean", "scale")),
+    ]
+
+
+class _Layer(ctypes.Structure):
+    _fields_ = [
+        *((name, ctypes.c_int32) for name in ("inputs", "outputs")),
+        *((name, ctypes.c_void_p) for name in ("weights", "biases")),
+    ]
+
+
+class _Network(ctypes.Structure):
+    _fields_ = [
+        *((name, ctypes.c_int32) for name in ("columns", "encoded", "layers", "activation")),
+        ("slope", ctypes.c_float),
+        ("plain", ctypes.c_int32),
+        *((name, ctypes.c_void_p) for name in ("inputs", "layer")),
+    ]
+
+
+def usable(x: Encoded, *others: Float, widths: Sequence[int], bins: int = 0) -> Library | None:
+    """The kernels, if they can run a network of these ``widths`` on these columns now.
+
+    Not inside of what Dr.Jit records to run later, where columns have no values yet; not for
+    derivatives by the columns, which only Dr.Jit has; not on a GPU.
+    """
+    raw = [*x.raw, *others]
+    if max(len(raw), *widths) > MOST or bins > MOST_BINS:
+        return None
+    if dr.backend_v(raw[-1]) != dr.JitBackend.LLVM or dr.flag(dr.JitFlag.SymbolicScope):
+        return None
+    if any(dr.grad_enabled(column) for column in raw):
+        return None
+    library = found()
+    return None if isinstance(library, str) else library
+
+
+class Packed:
+    """Weights and biases of a network in the order that the kernels read them.
+
+    ``numbers`` are a weight [out, in] and a bias [out] for each layer, float32.
+    """
+
+    def __init__(
+        self, library: Library, numbers: Sequence[np.ndarray], activation: str, slope: float | None
+    ):
+        self.library = library
+        self.activation, self.slope = _ACTIVATIONS[activation], slope or 0.0
+        pairs = list(zip(numbers[0::2], numbers[1::2], strict=True))
+        self.layers = (_Layer * len(pairs))()
+        self._kept: list[np.ndarray] = []
+        for layer, (weight, bias) in zip(self.layers, pairs, strict=True):
+            outputs, inputs = weight.shape
+            packed = np.empty(weight.size, np.float32)
+            weight = np.ascontiguousarray(weight, np.float32)
+            bias = np.array(bias, np.float32)
+            library.pack(_at(weight), ctypes.c_int32(inputs), ctypes.c_int32(outputs), _at(packed))
+            layer.inputs, layer.outputs = inputs, outputs
+            layer.weights, layer.biases = packed.ctypes.data, bias.ctypes.data
+            self._kept += [packed, bias]
+        self.outputs = pairs[-1][0].shape[0]
+        sizes = [pairs[0][0].shape[1], *(weight.shape[0] for weight, _ in pairs)]
+        self.name = f"network {'-'.join(map(str, sizes))} {activation}"
+        self._encoding: tuple[tuple, Any] = (), None
+
+    def __call__(self, x: Encoded) -> Columns:
+        """The network's outputs; computed when it returns."""
+        return self._run(x, _OUTPUTS, [], self.outputs)
+
+    def warp(self, x: Encoded, value: Float) -> Columns:
+        """``(y, dy/dx)`` of the spline that the outputs describe: :func:`spline.warp_columns`."""
+        return self._run(x, _WARP, [value], 2)
+
+    def unwarp(self, x: Encoded, value: Float) -> Columns:
+        """The inverse: :func:`spline.unwarp_columns`."""
+        return self._run(x, _UNWARP, [value], 1)
+
+    def draw(self, x: Encoded, value: Float, keep: Any, kept: Float, chord: Float) -> Columns:
+        """``(place, y, dy/dx)``: see :meth:`CouplingNet.draw_columns`."""
+        return self._run(x, _DRAW, [value, dr.select(keep, type(value)(1), 0), kept, chord], 3)
+
+    def _run(self, x: Encoded, use: int, extra: Columns, outputs: int) -> Columns:
+        """All that this reads is computed before, in one kernel of Dr.Jit's if it can be."""
+        raw = [*x.raw, *extra]
+        rows = max(dr.width(column) for column in raw)
+        array = type(raw[-1])
+        if rows == 0:
+            return [array() for _ in range(outputs)]
+        # Copies: what a caller holds stays as it is, a literal a literal.
+        raw = [array(column) for column in raw]
+        out = empty(array, rows, outputs)
+        places = addresses([*raw, *out])
+        inputs = self._inputs(x)
+        network = _Network(
+            len(x.raw), x.width, len(self.layers), self.activation, self.slope, x.as_it_is,
+            ctypes.addressof(inputs), ctypes.addressof(self.layers),
+        )  # fmt: skip
+        wide = (ctypes.c_uint8 * len(raw))(*(dr.width(column) != 1 for column in raw))
+        columns = _pointers(places[: len(raw)]), wide, _pointers(places[len(raw) :])
+
+        def run(use: int) -> None:
+            self.library.network(
+                ctypes.byref(network),
+                ctypes.c_uint32(rows),
+                *columns,
+                ctypes.c_int32(use),
+                ctypes.c_void_p(self.library.submit),
+                ctypes.c_void_p(self.library.wait),
+            )
+
+        start = time.perf_counter()
+        run(use)
+        if history.wanted():
+            seconds = time.perf_counter() - start
+            what = f"{self.name}, {_USES[use]}"
+            # The columns live as long as somebody may run it again.
+            history.add(
+                history.Run(
+                    what, rows, seconds, use != _OUTPUTS, lambda kept=(raw, inputs): run(_NOTHING)
+                )
+            )
+        return out
+
+    def _inputs(self, x: Encoded) -> ctypes.Array:
+        """How each raw column is encoded; made again where that changes."""
+        shape = tuple(
+            (len(g.columns), g.frequencies, tuple(g.mean), tuple(g.scale)) for g in x.groups
+        )
+        if self._encoding[0] != shape:
+            self._encoding = shape, _inputs(x)
+        return self._encoding[1]
+
+
+def _inputs(x: Encoded) -> ctypes.Array:
+    """How each raw column is encoded."""
+    made, place = [], 0
+    for group in x.groups:
+        n = len(group.columns)
+        for i in range(n):
+            if group.frequencies is None:
+                mean, scale = (group.mean[i], group.scale[i]) if group.mean else (0.0, 1.0)
+                made.append(_Input(0, place + i, 0, 0, mean, scale))
+            else:
+                made.append(_Input(1, place + i, n, group.frequencies, 0.0, 1.0))
+        place += group.width
+    return (_Input * len(made))(*made)
+
+
+def _at(numbers: np.ndarray) -> ctypes.c_void_p:
+    return ctypes.c_void_p(numbers.ctypes.data)
+
+
+def _pointers(places: list[int]) -> ctypes.Array:
+    return (ctypes.c_void_p * len(places))(*places)

@@ -1,0 +1,1 @@
+"""How materials are learned from random walks alone."""

@@ -1,0 +1,158 @@
+"""From a description to a stored material learned from walks, by one call."""
+
+from __future__ import annotations
+
+import json
+import math
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, replace
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from harness.core import machine
+from harness.core.protocol.errors import InputError
+from harness.materials.puresample import storage
+from harness.materials.puresample.architecture import Architecture
+from harness.materials.puresample.network import PureSample
+from harness.training.puresample import albedo, data, density, sources
+from harness.training.puresample.profiles import Profile
+from harness.training.puresample.profiles import profile as find_profile
+from harness.training.puresample.quality import Held
+
+_ALBEDO = 10 << 40
+"""Between a training's seed and that of the albedo's walks."""
+
+Notify = Callable[[str, float], None]
+
+
+def train(
+    description: str | Path,
+    out: Path,
+    profile: str = "quick",
+    seed: int = 0,
+    device: str = "cpu",
+    notify: Notify = lambda _text, _share: None,
+    changes: Sequence[str] = (),
+) -> dict[str, Any]:
+    """Learn the material of a description from its walks and store it as ``out``; its record.
+
+    ``changes`` are sizes of the networks and numbers of the profile that differ, ``KEY=VALUE``.
+
+    Raises:
+        InputError: no such description or profile; a surface of which nothing can be learned.
+    """
+    if out.suffix != ".safetensors":
+        raise InputError(f"--out {out}: expected a name that ends in .safetensors")
+    chosen = changed(find_profile(profile), changes)
+    source = sources.load(description)
+    if source.grey:
+        chosen = replace(chosen, architecture=replace(chosen.architecture, grey=True))
+    notify(f"{chosen.walks:,} walks", 0.0)
+    start = time.perf_counter()
+    walked = data.draw(source, chosen.walks, seed, device)
+    data.check(source, walked.counts)
+    survival = albedo.draw(source, chosen.directions, chosen.group, seed + _ALBEDO, device)
+    data_seconds = time.perf_counter() - start
+    start = time.perf_counter()
+    network = fitted(chosen, walked, survival, seed, device, notify)
+    train_seconds = time.perf_counter() - start
+    record = {
+        "name": source.name,
+        "about": source.about,
+        "description": source.identity(),
+        "profile": {"name": profile, **asdict(chosen)},
+        "seed": seed,
+        "finished": datetime.now(UTC).isoformat(timespec="seconds"),
+        "environment": machine.describe(device),
+        "data_seconds": round(data_seconds, 2),
+        "train_seconds": round(train_seconds, 2),
+        "walks": vars(walked.counts),
+    }
+    return _store(network, source, record, out, device, notify)
+
+
+def fitted(
+    profile: Profile,
+    walked: data.Walked,
+    survival: albedo.Survival,
+    seed: int,
+    device: str = "cpu",
+    notify: Notify = lambda _text, _share: None,
+) -> PureSample:
+    """The networks of those walks: density and texture, then the albedo with the texture frozen."""
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(seed)
+        network = PureSample(profile.architecture).to(device)
+    density.fit(network, walked.survivors(), profile, seed, device, notify)
+    albedo.fit(network, survival, profile, seed, device, notify)
+    return network.cpu().eval()
+
+
+def measure(file: Path, seed: int = 0, device: str = "cpu") -> dict[str, Any]:
+    """Measure the errors of a stored material again, by its record's description.
+
+    Raises:
+        InputError: its description is not there, or is another now.
+    """
+    record = storage.record(file)
+    source = sources.load(record.get("name", ""))
+    if json.loads(json.dumps(source.identity())) != record.get("description"):
+        raise InputError(f"{file}: was trained on another '{record['name']}' than there is now")
+    network = storage.load(file)
+    held = Held.draw(source, seed, network.architecture.textured, device=device)
+    record["quality"] = held.measure(network).as_dict()
+    record["measured"] = {"seed": seed, "environment": machine.describe(device)}
+    storage.save(file, network, record)
+    return record
+
+
+def _store(
+    network: PureSample,
+    source: Any,
+    record: dict[str, Any],
+    out: Path,
+    device: str,
+    notify: Notify,
+) -> dict[str, Any]:
+    """Write it, measure what was written, and write the errors beside it."""
+    notify("measuring the errors", 1.0)
+    storage.save(out, network, record)
+    stored = storage.load(out)
+    held = Held.draw(source, record["seed"], stored.architecture.textured, device=device)
+    record["quality"] = held.measure(stored).as_dict()
+    storage.save(out, stored, record)
+    return record
+
+
+def changed(profile: Profile, changes: Sequence[str]) -> Profile:
+    """The profile with numbers of its own or sizes of its networks replaced, as ``KEY=VALUE``."""
+    sizes, own = profile.architecture.as_dict(), {}
+    numbers = {k: v for k, v in vars(profile).items() if isinstance(v, int | float | str)}
+    for change in changes:
+        key, equals, text = change.partition("=")
+        if not equals:
+            raise InputError(f"--set {change}: expected KEY=VALUE")
+        try:
+            value = json.loads(text)
+        except ValueError:
+            value = text
+        if key not in numbers:
+            sizes[key] = value
+            continue
+        kind = type(numbers[key])
+        right = isinstance(value, kind) or (kind is float and type(value) is int)
+        if not right or isinstance(value, bool):
+            raise InputError(f"--set {change}: expected {kind.__name__}")
+        if kind is not str and not 0 <= value < math.inf:
+            raise InputError(f"--set {change}: expected a finite number of at least 0")
+        own[key] = kind(value)
+    found = replace(profile, architecture=Architecture.of(sizes, "--set"), **own)
+    albedo.loss_of(found.albedo_loss, torch.zeros(1, 3), torch.zeros(1, 3))  # a name it knows
+    least = min(found.walks, found.directions, found.albedo_batch, found.matching_batch)
+    if least < 1 or found.group < 2:
+        raise InputError("--set: expected at least one walk, direction and row, and groups of two")
+    return found
