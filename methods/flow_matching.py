@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import functools
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, ClassVar
@@ -17,6 +18,7 @@ from harness.core.protocol.errors import InputError, StateRefused, nearest
 from harness.core.protocol.material import Material
 from harness.core.protocol.method import Budget, FitReport, Knob
 from harness.fitting import flow_matching as losses
+from harness.fitting.drawn import Drawn
 from harness.fitting.flow_in_torch import FlowInTorch
 from harness.fitting.flow_steadiness import Steadiness, steadiness
 from harness.fitting.precision import PRECISIONS, checked_precision, round_weights
@@ -33,6 +35,8 @@ from harness.nets.mixture_base import BASES, ColumnMixture
 from harness.nets.solvers import SOLVERS
 
 TRAININGS = ("matching", "likelihood")
+_FELT = 2.0**-13
+"""Of a base point's deviations: a shift from which the determinant is another by some 1e-4."""
 
 
 class FlowMatching(SteadyMethod, ColumnMethod):
@@ -160,12 +164,14 @@ class FlowMatching(SteadyMethod, ColumnMethod):
         targets = Targets.build(material, budget, generator)
         self.prepare(targets)
         phases = self.phases()
+        # Made inside the first phase, so that its time counts.
+        drawn = functools.cache(lambda: Drawn(targets, budget.directions, generator))
         reports = []
         for i, phase in enumerate(phases):
             # The first takes what does not divide evenly.
             steps = budget.steps // len(phases) + (budget.steps % len(phases) if i == 0 else 0)
             part = replace(budget.less(targets.seconds, len(phases)), steps=steps)
-            loss = self._loss_of(phase, targets, part, generator)
+            loss = self._loss_of(phase, drawn, part, generator)
             reports.append(
                 minimise(
                     self.module,
@@ -188,23 +194,21 @@ class FlowMatching(SteadyMethod, ColumnMethod):
         return ["matching", *["reflow"] * self.reflow, *last]
 
     def _loss_of(
-        self, phase: str, targets: Targets, budget: Budget, generator: torch.Generator
+        self,
+        phase: str,
+        drawn: Callable[[], Drawn],
+        budget: Budget,
+        generator: torch.Generator,
     ) -> Callable[[], Tensor]:
         net = self.module
         if phase == "matching":
-            return lambda: losses.matching_loss(net, targets, budget, generator, self.pairing)
+            return lambda: losses.matching_loss(net, drawn(), budget, generator, self.pairing)
         if phase == "likelihood":
             return lambda: losses.likelihood_loss(
-                net, self.steps, self.solver, targets, budget, generator
+                net, self.steps, self.solver, drawn(), budget, generator
             )
-        pairs: list[losses.Pairs] = []
-
-        def loss() -> Tensor:
-            if not pairs:  # made inside the fit, so that their time counts
-                pairs.append(losses.Pairs.of(net, targets.condition, generator))
-            return pairs[0].loss(net, budget, generator)
-
-        return loss
+        pairs = functools.cache(lambda: losses.Pairs.of(net, drawn().condition, generator))
+        return lambda: pairs().loss(net, budget, generator)
 
     def log_prob(self, condition: Tensor, wo: Tensor) -> Tensor:
         """Log density [B, D]."""
@@ -282,6 +286,7 @@ class FlowMatching(SteadyMethod, ColumnMethod):
 
         The rounding of the direction, which near the rim moves its place in the plane, is taken
         back to the base by the map's Jacobian: the density is the one at the rounded direction.
+        Where it moves by more than ``_FELT``, the map is run again from there, for its determinant.
         """
         net, flow = self.module, self.flow()
         at = net.at_columns(c)
@@ -293,9 +298,16 @@ class FlowMatching(SteadyMethod, ColumnMethod):
             there = defensive.uniform_disk_columns(u)
             wo = [dr.select(elsewhere, a, b) for a, b in zip(there, wo, strict=True)]
         place, slope = net.place_columns(at, wo)
-        away = [a - b for a, b in zip(place, moved.x, strict=True)]
-        shift = discrete_flow_columns.solve(moved.jacobian, away)
-        origin, det = [a + b for a, b in zip(x0, shift, strict=True)], moved.det
+        origin = _taken_back(x0, place, moved)
+        felt = sum(dr.square(a - b) for a, b in zip(origin, x0, strict=True)) > _FELT**2
+        if elsewhere is not None:
+            felt &= ~elsewhere
+        again = discrete_flow_columns.forward(flow, origin, at.shared, felt)
+        origin = [
+            dr.select(felt, a, b)
+            for a, b in zip(_taken_back(origin, place, again), origin, strict=True)
+        ]
+        det = dr.select(felt, again.det, moved.det)
         if elsewhere is not None:
             other = discrete_flow_columns.invert(flow, place, at.shared, elsewhere)
             det = dr.select(elsewhere, other.det, det)
@@ -328,6 +340,13 @@ class FlowMatching(SteadyMethod, ColumnMethod):
 
     def _mixed(self, pdf: Float, wo: Columns, base: ColumnMixture) -> Float:
         return pdf if self.domain == "plane" else defensive.mixed_columns(pdf, wo, base.share)
+
+
+def _taken_back(x: Columns, place: Columns, moved: discrete_flow_columns.ColumnMoved) -> Columns:
+    """What the map takes to ``place``, which is near to where it took ``x``."""
+    away = [a - b for a, b in zip(place, moved.x, strict=True)]
+    shift = discrete_flow_columns.solve(moved.jacobian, away)
+    return [a + b for a, b in zip(x, shift, strict=True)]
 
 
 def _joined(reports: list[FitReport], phases: list[str]) -> FitReport:

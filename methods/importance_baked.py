@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import math
+from collections.abc import Sequence
 from typing import ClassVar
 
 import drjit as dr
@@ -192,24 +193,23 @@ class ImportanceBaked(BakedMethod):
         a, b = (dr.fma(2, v, -1) for v in u[:2])
         elsewhere = u[2] < self.uniform
         there = defensive.uniform_disk_columns(u)
-        x, _ = spline.unwarp_columns(net.x_given_b.columns(b, encoded), a)
-        x = dr.select(elsewhere, there[0], x)
-        numbers = net.y_given_x.columns(x, encoded)
-        y, _ = spline.unwarp_columns(numbers, b)
-        y = dr.select(elsewhere, there[1], y * _chord(x))
-        return x, y, self._density(encoded, numbers, x, y)
+        x = dr.select(elsewhere, there[0], net.x_given_b.unwarp_columns(b, encoded, a))
+        y, *warped = net.y_given_x.draw_columns(x, encoded, b, elsewhere, there[1], _chord(x))
+        return x, y, self._density(encoded, warped, x, y)
 
     def pdf_columns(self, c: Columns, wo: Columns) -> Float:
         """See :meth:`ColumnMethod.pdf_columns`."""
         encoded = self.module.encoder.encoded(c)
-        return self._density(encoded, self.module.y_given_x.columns(wo[0], encoded), *wo)
+        x, y = wo
+        warped = self.module.y_given_x.warp_columns(x, encoded, y / _chord(x))
+        return self._density(encoded, warped, x, y)
 
-    def _density(self, encoded: Encoded, numbers: Columns, x: Float, y: Float) -> Float:
-        """Density at ``(x, y)``; ``numbers`` are G's, which depend on x alone."""
+    def _density(self, encoded: Encoded, warped: Sequence[Float], x: Float, y: Float) -> Float:
+        """Density at ``(x, y)``; ``warped`` is what G makes of y over the chord, and its slope."""
         chord = _chord(x)
         at = y / chord
-        b, slope_b = spline.warp_columns(numbers, at)
-        _, slope_a = spline.warp_columns(self.module.x_given_b.columns(b, encoded), x)
+        b, slope_b = warped
+        _, slope_a = self.module.x_given_b.warp_columns(b, encoded, x)
         inside = (dr.abs(x) < 1) & (dr.abs(at) < 1)
         # A nan compares with nothing, and has to come out as one.
         there = inside | dr.isnan(x) | dr.isnan(y) | dr.isnan(b)

@@ -224,7 +224,7 @@ class Reparameterised(FlowMethod):
     def sample_columns(self, c: Columns, u: Columns) -> tuple[Float, Float, Float]:
         """See :meth:`ColumnMethod.sample_columns`."""
         net, n = self.module, spline.outputs(self.bins)
-        encoded = net.encoder.columns(c)
+        encoded = net.encoder.encoded(c)
         one = net.first.columns(encoded)
         share = defensive.share_columns(one[-1], self.uniform)
         elsewhere = u[2] < share
@@ -248,7 +248,7 @@ class Reparameterised(FlowMethod):
         """See :meth:`ColumnMethod.pdf_columns`."""
         net, n = self.module, spline.outputs(self.bins)
         x, y = wo
-        encoded = net.encoder.columns(c)
+        encoded = net.encoder.encoded(c)
         one = net.first.columns(encoded)
         line = lobes.log_sigma_columns(one[n]), one[n + 2]
         z, slope = spline.warp_columns(one[:n], self._scaled(line, plane.a_columns(x)))

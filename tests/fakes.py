@@ -22,7 +22,7 @@ from harness.identity.ours import digests
 from harness.materials import registry as materials
 from harness.measures import registry as measures
 from harness.measures.base import Job, Measure, Outcome, Settings
-from harness.runner import worker
+from harness.runner import executor, machine_lock
 from harness.runner.probes import Probes
 from harness.scenes import registry as scenes
 from harness.suite import source_parts
@@ -205,7 +205,8 @@ def install(setattr_: Any = setattr) -> None:
 
     No probes are made, which take a second each, and no run waits for what another one times.
     """
-    setattr_(worker, "machine_held", lambda note, alone=True: nullcontext())
+    setattr_(machine_lock, "machine", lambda note, alone=True: nullcontext())
+    setattr_(executor, "default", executor.INLINE)  # another process would not know them
     setattr_(Probes, "keep", lambda self, trials, note: None)
     for registry in (materials, scenes):
         setattr_(registry, "identity", _identity)

@@ -12,7 +12,7 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 LAYERS = """
-    cli harness api fuzz bench runner report suite measures checks rendering scenes training
+    cli harness api bench fuzz runner report suite measures checks rendering scenes training
     materials microgeometry geometry methods importance_maps fitting nets textures analysis store
     effects mitsuba_runtime identity stats core
 """.split()

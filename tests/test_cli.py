@@ -58,7 +58,7 @@ def test_list(kind: str, capsys: pytest.CaptureFixture[str]):
         (["run"], "harness run: Missing argument"),
         (["run", "smoke", "--profle", "x"], "harness run: No such option: --profle"),
         (["run", "smok"], "no such suite: smok; did you mean 'smoke'?"),
-        (["run", "smoke", "--executor", "dask"], "--executor dask is not there yet"),
+        (["run", "smoke", "--executor", "dsk"], "unknown executor 'dsk'; did you mean 'dask'?"),
         (["run", "smoke", "--retry", "all"], "--retry all: expected 'failed'"),
         (["run", "smoke", "--device", "cpux"], "unknown device 'cpux'; did you mean 'cpu'?"),
         (["validate", "smok"], "no such suite: smok; did you mean 'smoke'?"),

@@ -17,7 +17,7 @@ from harness.core.compiled.transpose import transposed
 from harness.core.protocol.errors import InputError
 from harness.nets import spline
 from harness.nets.activations import ACTIVATIONS
-from harness.nets.compiled_network import MOST, MOST_BINS, usable
+from harness.nets.compiled_network import MOST, MOST_BINS, MOST_ROWS, usable
 from harness.nets.coupling import CouplingNet
 from harness.nets.encoding import ConditionEncoder, Encoded
 from harness.nets.mlp import MLP
@@ -207,6 +207,8 @@ def test_a_network_too_wide_for_the_kernel_is_dr_jits():
     for widths, there in (((3, MOST, 1), True), ((3, MOST + 1, 1), False)):
         assert (usable(Encoded.plain(columns), widths=widths) is not None) is there
     assert usable(Encoded.plain(columns), widths=(3, 8, 2), bins=MOST_BINS + 1) is None
+    many = [dr.full(type(columns[0]), 1, MOST_ROWS + 1)] * 3
+    assert usable(Encoded.plain(many), widths=(3, 8, 2)) is None
 
 
 @pytest.mark.parametrize("rows", [1, 2, 15, 16, 17, 4097])

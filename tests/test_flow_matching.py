@@ -252,6 +252,25 @@ def test_samples_follow_the_density(params):
     assert float(near.double().mean()) > 0.99
 
 
+def test_at_the_rim_a_sample_has_the_density_of_a_query(monkeypatch):
+    """Where the rounding of a direction moves its place in the plane, and with it a determinant."""
+    method = fitted(**FEW)
+    g = torch.Generator().manual_seed(4)
+    u = torch.rand(4000, 3, generator=g)
+    u[:, 0] = 1 - torch.exp2(-8 - 16 * u[:, 0])
+    condition = MATERIALS["tilted"]().conditions(4000, g)
+
+    def off() -> Tensor:
+        wo, pdf = method.sample(condition, u)
+        asked = method.pdf(condition, wo)
+        there = asked > 0
+        return ((pdf - asked).abs() / asked)[there]
+
+    assert (off() > 1e-4).double().mean() <= 1e-3
+    monkeypatch.setattr("harness._methods.flow_matching._FELT", torch.inf)
+    assert (off() > 1e-4).double().mean() > 1e-2
+
+
 def test_the_published_pdf_is_another_and_is_declared_so():
     """Its integral is not one; of the same state, with the same samples."""
     exact = fitted(**{**FEW, "steps": 4})

@@ -77,7 +77,8 @@ def executed_and_covered(
     plan = make_plan(load(str(file)))
     said = io.StringIO()
     with recorded(known.tree) as ran:
-        status = run(plan, folder / "results", Options(refit=True), Console(file=said))
+        here = Options(executor="inline", refit=True)
+        status = run(plan, folder / "results", here, Console(file=said))
     assert status == 0, said.getvalue()
     return ran, _reached(plan)
 

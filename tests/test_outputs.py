@@ -204,6 +204,30 @@ def test_publishing_replaces_results_and_leaves_the_rest(here: Path):
     assert content(other) == {"thesis.pdf": MINE}
 
 
+def test_a_page_replaces_only_a_page(here: Path, capsys: pytest.CaptureFixture[str]):
+    one = stores.make(here / "many" / "one")
+    (here / "many" / "index.html").write_bytes(MINE)
+    (here / "comparison.html").write_bytes(MINE)
+    compared = ["compare", "--html", str(one), str(one)]
+    assert "is not a page of the harness" in refused(compared, capsys)
+    assert main(["report", str(one)]) == 0
+    assert "is not a page of the harness" in refused(["report", "many"], capsys)
+    (here / "many" / "index.html").unlink()
+    (here / "comparison.html").unlink()
+    for _ in range(2):
+        assert main(["report", "many"]) == main(compared) == 0
+
+
+def test_merging_goes_to_a_folder_of_its_own(here: Path, capsys: pytest.CaptureFixture[str]):
+    one = stores.make(here / "one")
+    (one / "suite.yaml").write_text("suite")
+    (here / "mine").mkdir()
+    (here / "mine" / "thesis.pdf").write_bytes(MINE)
+    assert "holds other things than results" in refused(
+        ["merge", str(one), str(one), "--out", "mine"], capsys
+    )
+
+
 def test_a_database_of_maps_that_is_none(here: Path, capsys: pytest.CaptureFixture[str]):
     (here / "maps").mkdir()
     for text in ("[", "[1]", json.dumps({"format": 7})):

@@ -285,9 +285,7 @@ def test_dry_run_touches_nothing(tmp_path: Path):
     assert not (tmp_path / "out").exists()
 
 
-def test_dask_is_refused(tmp_path: Path):
-    with pytest.raises(InputError, match="dask is not there yet; use --executor local"):
-        go(tmp_path, Options(executor="dask"))
+def test_unknown_executor(tmp_path: Path):
     with pytest.raises(InputError, match="unknown executor 'locl'; did you mean 'local'"):
         go(tmp_path, Options(executor="locl"))
 
@@ -391,6 +389,16 @@ def test_time_left(tmp_path: Path):
     for trial in (t for t in plan.trials if t.measure != "fit"):
         pace.finish(trial, 20.0 if trial.method == plan.baseline else 1.0)
     assert str(pace) == f"about {duration(10.0 * count)} left"
+    slow = Pace(plan.trials, {}, clock=iter([0.0, *[60.0] * 9]).__next__)
+    for trial in fits:
+        slow.finish(trial, 5.0)
+    for trial in [t for t in plan.trials if t.measure == "probe"][:2]:
+        slow.finish(trial, 5.0)
+    # Two probes are left; thirty seconds of work took a minute.
+    assert slow.seconds() == pytest.approx(2 * 5.0 * 60 / 30)
+    beside = Pace(plan.trials, {}, slots=2)
+    beside.finish(fits[0], 10.0)
+    assert beside.seconds() == pytest.approx(10.0 * count / 2)
     again = Pace([t for t in plan.trials if t.measure != "fit"], {})
     again.spent = pace.spent
     left = sum(20.0 if t.method == plan.baseline else 1.0 for t in plan.trials if t.fit)

@@ -151,6 +151,12 @@ throughput pdf-queries-per-second 1/s | rows of pdf
 throughput sample-time-ratio 1 | seconds of sample over the baseline's
 throughput pdf-time-ratio 1 | seconds of pdf over the baseline's
 throughput disturbed 1 | 1 where an interval of a time stayed wider than the tolerance
+walks albedo-ratio-* 1 | albedo over that of the walks, at an angle; 0 the most grazing
+walks albedo-within 1 | share of directions and channels whose albedo is within 3 % of the walks'
+walks albedo-noise 1 | 95th percentile of the relative error of the walks' own albedo
+walks shape-error 1 | squared error of f in cells over its square, less the walks' noise
+walks reciprocity-error 1 | mean difference of f from one side and from the other, over its mean
+walks size-bytes B | of the tensors as stored
 """
 
 

@@ -22,7 +22,8 @@ class Status:
 
     ``counts`` by ``valid``, ``stale``, ``missing``, ``failed``, ``unsupported``, ``skipped``;
     ``elsewhere`` are valid timings that were taken on another machine; ``reasons`` counts why
-    trials are stale or failed; ``failed`` has the failed ones.
+    trials are stale or failed, ``findings`` what methods changed that is not theirs; ``failed`` has
+    the failed ones.
     """
 
     folder: Path
@@ -30,6 +31,7 @@ class Status:
     counts: Counter[str] = field(default_factory=Counter)
     elsewhere: int = 0
     reasons: Counter[str] = field(default_factory=Counter)
+    findings: Counter[str] = field(default_factory=Counter)
     failed: list[Stored] = field(default_factory=list)
 
     @property
@@ -66,6 +68,7 @@ def counted(folder: Path, results: Results) -> Status:
         found.counts[kind] += 1
         if kind in ("stale", "failed"):
             found.reasons[str(why)] += 1
+        found.findings.update(stored.findings if stored else ())
         if stored and kind == "failed":
             found.failed.append(stored)
         if stored and kind == "valid" and stored.trial.get("machine", here) != here:

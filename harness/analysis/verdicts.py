@@ -134,9 +134,7 @@ def _entry(case: dict[str, Any]) -> Entry:
 
 def _without_findings(results: Results, material: str, method: str) -> Iterable[Entry]:
     """An entry for each seed whose trial, or the fit that it needs, did not end well."""
-    fits = {
-        results.training[row["trial"]]: row for row in results.rows("fit", material, method)
-    }
+    fits = {results.training[row["trial"]]: row for row in results.rows("fit", material, method)}
     for row in results.rows(MEASURE, material, method):
         if row["status"] == "ok":
             continue

@@ -33,8 +33,11 @@ def register(app: typer.Typer) -> None:
         from harness.bench import effect_overhead
         from harness.bench import profile as profiling
         from harness.bench.adapters import run
+        from harness.core.protocol.errors import InputError
         from harness.core.terminal import Screen
 
+        if profile and device != "cpu":
+            raise InputError(f"bench --profile: device is '{device}'; expected cpu")
         console = Screen()
         with console.status("preparing") as status:
             if effects:

@@ -33,12 +33,11 @@ def register(app: typer.Typer) -> None:
         if html:
             if metric:
                 raise InputError("--metric: not with --html, whose page can be filtered")
-            from harness.core.outputs import file_to_write
             from harness.report.page.comparison import comparison
-            from harness.report.page.shell import is_page
+            from harness.report.place import write_page
 
-            file_to_write(out, "--out", is_page, "a page of harness compare")
-            out.write_text(comparison([run, *again]), encoding="utf-8")
+            text = comparison([run, *again])
+            write_page(out, text, "--out")
             print(str(out))
             return
         if len(again) > 1:

@@ -36,4 +36,4 @@ def register(app: typer.Typer) -> None:
 
         plan = planned(effects_only(load(suite), method), profile, device)
         results = out or Path("results") / f"{plan.suite}-effects"
-        raise typer.Exit(run_and_report(plan, results, Options(only, "local", False, False)))
+        raise typer.Exit(run_and_report(plan, results, Options(only)))

@@ -54,7 +54,7 @@ def register(app: typer.Typer) -> None:
                 if trial.measure == FIT and (out / shipped.name_of(trial)).exists():
                     name = out / shipped.name_of(trial)
                     file_to_write(name, "--out: in it", shipped.is_fit, "a fitted sampler")
-        status = carry_out(plan, folder, Options(chosen, "local", again, refit=True), console)
+        status = carry_out(plan, folder, Options(chosen, None, again, refit=True), console)
         # An interrupted run, too, leaves fits that are finished.
         wanted = parse(chosen, plan)
         with ResultsFolder(folder) as store:

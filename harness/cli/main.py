@@ -16,7 +16,7 @@ from harness.core.text import one_line
 VERBS = (
     *("run", "report", "status", "compare", "advise", "tune"),
     *("list", "check", "validate", "new", "doctor", "bench", "effects"),
-    *("fit", "material", "bake", "fuzz"),
+    *("fit", "material", "bake", "fuzz", "merge"),
 )
 FAILED, REFUSED = 1, 2
 INTERRUPTED = 130

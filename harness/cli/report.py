@@ -59,15 +59,14 @@ def _report(results_dir: Path, console: object, say: Callable[[str], None]) -> P
 
 
 def _index(place: Path, say: Callable[[str], None]) -> Path:
-    from harness.core.outputs import file_to_write
     from harness.report import write as reports
     from harness.report.page.index import index
-    from harness.report.page.shell import is_page
+    from harness.report.place import write_page
 
-    page = file_to_write(place / "index.html", "the index", is_page, "a page of harness report")
     text, old = index(place)
     for folder in old:
         say(str(reports.load(folder).write()[0]))
-    page.write_text(text, encoding="utf-8")
+    page = place / "index.html"
+    write_page(page, text, "index")
     say(str(page))
     return page

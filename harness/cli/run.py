@@ -30,7 +30,21 @@ def register(app: typer.Typer) -> None:
         ] = None,
         profile: Profile = None,
         only: Only = None,
-        executor: Annotated[str, typer.Option(help="local (dask is to come).")] = "local",
+        executor: Annotated[
+            str | None, typer.Option(help="local (worker processes), dask, or inline (no process).")
+        ] = None,
+        scheduler: Annotated[
+            str | None, typer.Option(help="Of a Dask cluster, such as tcp://HOST:8786.")
+        ] = None,
+        workers: Annotated[
+            int, typer.Option(min=1, help="Fits and untimed measures side by side.")
+        ] = 1,
+        trial_seconds: Annotated[
+            float | None, typer.Option(help="A trial is ended after so long.")
+        ] = None,
+        trial_memory: Annotated[
+            float | None, typer.Option(help="A trial is ended at so many GiB.")
+        ] = None,
         retry: Retry = None,
         refit: Annotated[
             bool, typer.Option("--refit", help="Fit all anew, also what comes fitted.")
@@ -39,14 +53,25 @@ def register(app: typer.Typer) -> None:
         device: Device = "cpu",
     ) -> None:
         """Carry out what a suite asks for and is not stored yet, then print its tables."""
+        from harness.core.protocol.errors import InputError
         from harness.runner import executor as executors
+        from harness.runner.limits import Limits
         from harness.runner.run import Options
         from harness.suite.load import load
 
         again = failed_again(retry)
-        executors.make(executor)
-        plan = planned(load(suite), profile, device)
+        if executor is not None:
+            executors.check(executor)
+        if scheduler is not None and executor != executors.DASK:
+            raise InputError("--scheduler: expected --executor dask with it")
+        limits = Limits(trial_seconds, trial_memory and trial_memory * 2**30)
+        loaded, made, machine = load(suite), None, None
+        if executor == executors.DASK and not dry_run:
+            from harness.runner.cluster import Cluster, connect
+
+            made = Cluster(connect(scheduler, workers), device, limits)
+            machine = made.machine()
+        plan = planned(loaded, profile, device, machine)
         results = out or Path("results") / plan.suite
-        raise typer.Exit(
-            run_and_report(plan, results, Options(only, executor, again, dry_run, refit))
-        )
+        options = Options(only, made or executor, again, dry_run, refit, workers, limits)
+        raise typer.Exit(run_and_report(plan, results, options))

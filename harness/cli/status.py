@@ -38,6 +38,8 @@ def register(app: typer.Typer) -> None:
             print(one.line())
             for reason, count in one.reasons.most_common():
                 print(f"  {count} x {reason}")
+            for finding, count in one.findings.most_common():
+                print(f"  {count} x finding: {finding}")
             for trial in one.failed if failed else ():
                 labels = " · ".join(str(v) for v in trial.labels.values() if v != "")
                 print(f"  {trial.hash} {labels}\n{trial.traceback or trial.reason}")

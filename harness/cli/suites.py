@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -35,8 +35,11 @@ def failed_again(retry: str | None) -> bool:
     return retry == "failed"
 
 
-def planned(loaded: Loaded, profile: str | None, device: str) -> Plan:
-    """The suite's trials, on a machine that can run them."""
+def planned(
+    loaded: Loaded, profile: str | None, device: str, on: dict[str, Any] | None = None
+) -> Plan:
+    """The suite's trials, on a machine that can run them; times are of the machine ``on``, by
+    default of this one."""
     from harness.runner import preflight, shipped
     from harness.suite.plan import make_plan
 

@@ -14,8 +14,9 @@ import importlib
 import importlib.util
 import inspect
 import sys
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
+from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from typing import Any
@@ -133,7 +134,13 @@ def oneline(error: BaseException) -> str:
 
 
 def _entry_points() -> dict[str, EntryPoint]:
-    return {point.name: point for point in entry_points(group=GROUP)}
+    return _found_by(entry_points)
+
+
+@cache
+def _found_by(look_up: Callable[..., Iterable[EntryPoint]]) -> dict[str, EntryPoint]:
+    """Once: all packages there are would be read for each method that is not known."""
+    return {point.name: point for point in look_up(group=GROUP)}
 
 
 def _find_in_file(path: str, class_name: str) -> Found:

@@ -17,7 +17,7 @@ import torch
 from torch import Tensor
 
 from harness.core.protocol.method import Budget
-from harness.fitting.targets import Targets
+from harness.fitting.drawn import Drawn
 from harness.nets.conditional_flow import ConditionalFlow, Conditioned
 from harness.nets.discrete_flow import DiscreteFlow, determinant
 
@@ -35,18 +35,18 @@ _FOLDS = 100.0
 
 def matching_loss(
     net: ConditionalFlow,
-    targets: Targets,
+    drawn: Drawn,
     budget: Budget,
     generator: torch.Generator,
     pairing: bool,
 ) -> Tensor:
-    """On a fresh batch; with ``pairing`` the base points of a condition go to directions nearby.
+    """On a batch; with ``pairing`` the base points of a condition go to directions nearby.
 
     Any one-to-one pairing inside a batch keeps both marginals (Pooladian et al. 2023). A base that
     has a network is fitted to the directions by likelihood, apart: the velocity sees samples of it
     without a gradient.
     """
-    condition, wo = targets.batch(budget.conditions, budget.directions, generator)
+    condition, wo = drawn.batch(budget.conditions, generator)
     at = net.at(condition)
     x1, log_slope = net.place(at, wo)
     x0 = net.draw(at.base, wo.shape[1], generator).detach()
@@ -120,7 +120,7 @@ def likelihood_loss(
     net: ConditionalFlow,
     steps: int,
     solver: str,
-    targets: Targets,
+    drawn: Drawn,
     budget: Budget,
     generator: torch.Generator,
 ) -> Tensor:
@@ -129,7 +129,7 @@ def likelihood_loss(
     A map that folds has no density of the form that is maximised: determinants below ``LEAST``
     are penalised, at samples of the base.
     """
-    condition, wo = targets.batch(budget.conditions, budget.directions, generator)
+    condition, wo = drawn.batch(budget.conditions, generator)
     flow, at = DiscreteFlow(net.velocity, steps, solver), net.at(condition)
     log_prob, found = net.log_prob(flow, condition, wo, ROUNDS)
     share = found.to(log_prob.dtype).mean()

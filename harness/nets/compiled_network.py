@@ -18,6 +18,9 @@ from harness.nets.encoding import Encoded
 
 MOST, MOST_BINS = 4096, 512
 """Columns, and neurons of a layer, that the kernel has room for; bins of a spline."""
+MOST_ROWS = 1 << 23
+"""More, as a fine grid of directions has them, stay in Dr.Jit's kernel: here every input and output
+is an array, gigabytes of them."""
 _OUTPUTS, _WARP, _UNWARP, _DRAW, _NOTHING = range(5)
 _USES = ("outputs", "warp", "unwarp", "draw", "nothing")
 _ACTIVATIONS = {"relu": 0, "leaky_relu": 0, "silu": 1}
@@ -54,6 +57,8 @@ def usable(x: Encoded, *others: Float, widths: Sequence[int], bins: int = 0) -> 
     """
     raw = [*x.raw, *others]
     if max(len(raw), *widths) > MOST or bins > MOST_BINS:
+        return None
+    if max(dr.width(column) for column in raw) > MOST_ROWS:
         return None
     if dr.backend_v(raw[-1]) != dr.JitBackend.LLVM or dr.flag(dr.JitFlag.SymbolicScope):
         return None

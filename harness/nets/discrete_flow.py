@@ -162,17 +162,20 @@ class DiscreteFlow:
         left = (out[0] - y).abs().amax(-1)
         move = solve(out[1:], y - out[0])
         for _ in range(rounds):
-            active = left > tolerance * scale
-            if not bool(active.any()):
+            # Most are there after one round: the others go on without them.
+            rows = (left > tolerance * scale).nonzero(as_tuple=True)
+            if not len(rows[0]):
                 break
-            trial = x + move
-            there = self.one_dual(trial, k, shared)
-            away = (there[0] - y).abs().amax(-1)
-            better = active & (away < left)
-            x = torch.where(better[..., None], trial, x)
-            out = torch.where(better[..., None], there, out)
-            left = torch.where(better, away, left)
-            move = torch.where(better[..., None], solve(out[1:], y - out[0]), move / 2)
+            trial, old, goal = x[rows] + move[rows], left[rows], y[rows]
+            there = self.one_dual(trial[:, None], k, shared[rows[0]])[:, :, 0]
+            away = (there[0] - goal).abs().amax(-1)
+            better = away < old
+            kept = torch.where(better[:, None], there, out[(slice(None), *rows)])
+            newton = solve(kept[1:], goal - kept[0])
+            move[rows] = torch.where(better[:, None], newton, move[rows] / 2)
+            x[rows] = torch.where(better[:, None], trial, x[rows])
+            left[rows] = torch.where(better, away, old)
+            out[(slice(None), *rows)] = kept
         # A last step of Newton's costs nothing: it takes the rest of the error off the place.
         x = x + solve(out[1:], y - out[0])
         return x, out[1:], left <= 16 * tolerance * scale

@@ -94,18 +94,24 @@ def one_dual(
     return out[:2], tuple(out[2:])
 
 
-def forward(flow: DiscreteFlow, x: Columns, shared: Columns) -> ColumnMoved:
-    """Where ``x`` leads, the determinant of the whole map there, and its derivatives."""
-    array = type(shared[0])
-    index = dr.uint32_array_t(array)
+def forward(flow: DiscreteFlow, x: Columns, shared: Columns, active: Any = True) -> ColumnMoved:
+    """Where ``x`` leads, the determinant of the whole map there, and its derivatives.
 
-    def body(k: Any, x: Float, y: Float, det: Float, *whole: Float) -> tuple:
+    Rows that are not ``active`` stay where they are, and packets of rows without an active one
+    cost nothing.
+    """
+    array = type(shared[0])
+    index, mask = dr.uint32_array_t(array), dr.mask_t(array)
+
+    def body(k: Any, active: Any, x: Float, y: Float, det: Float, *whole: Float) -> tuple:
         (x, y), m = one_dual(flow, [x, y], k, shared)
-        return k + 1, x, y, det * determinant(m), *_times(m, whole)
+        return k + 1, active, x, y, det * determinant(m), *_times(m, whole)
 
     count, unit = _count(flow, array), (array(1), array(0), array(0), array(1))
-    start = index(0), *(array(v) for v in x), array(1), *unit
-    _, x, y, det, *whole = _loop(start, lambda k, *rest: k < count, body, "flow")
+    start = index(0), mask(active), *(array(v) for v in x), array(1), *unit
+    _, _, x, y, det, *whole = _loop(
+        start, lambda k, active, *rest: active & (k < count), body, "flow"
+    )
     return ColumnMoved([x, y], det, tuple(whole))
 
 

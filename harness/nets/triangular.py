@@ -8,7 +8,7 @@ from torch import Tensor, nn
 from harness.core.columns.bridge import Columns, Float
 from harness.core.protocol.material import Material
 from harness.nets import spline
-from harness.nets.encoding import ConditionEncoder, sinusoids, sinusoids_columns
+from harness.nets.encoding import ConditionEncoder, Encoded, sinusoids
 from harness.nets.mlp import MLP
 
 X_WAVES, RANK_WAVES = 3, 2
@@ -41,7 +41,7 @@ class Conditioners(nn.Module):
             v = layer(nn.functional.leaky_relu(v, self.second.slope))
         return v
 
-    def columns_given_x(self, x: Float, rank: Float, encoded: Columns) -> Columns:
+    def columns_given_x(self, x: Float, rank: Float, encoded: Encoded) -> Columns:
         """:meth:`given_x` over columns."""
-        own = sinusoids_columns([x], X_WAVES) + sinusoids_columns([rank], RANK_WAVES)
+        own = Encoded.waves([x], X_WAVES) + Encoded.waves([rank], RANK_WAVES)
         return self.second.columns(own + encoded)

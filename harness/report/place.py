@@ -6,12 +6,34 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from harness.core.outputs import folder_to_fill
+from harness.core.outputs import file_to_write, folder_to_fill
 from harness.core.protocol.errors import InputError
 from harness.report.parts import parts
 
 LIST = "files.txt"
 """Names the files of the report; a folder that has it is a report's."""
+
+
+_MARK = b'<meta name="generator" content="harness">'
+"""In the head of every page."""
+
+
+def write_page(page: Path, text: str, option: str) -> None:
+    """Write a page, unless another's file is there.
+
+    Raises:
+        InputError: it is, or the place cannot be written to.
+    """
+    file_to_write(page, option, _is_page, "a page of the harness")
+    try:
+        page.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise InputError(f"{option} {page}: cannot be written: {error.strerror}") from error
+
+
+def _is_page(path: Path) -> bool:
+    with path.open("rb") as file:
+        return _MARK in file.read(500)
 
 
 @contextmanager

@@ -12,7 +12,7 @@ from harness.core.protocol.method import Method
 from harness.effects.registry import is_auto
 from harness.measures.base import Job
 from harness.measures.fit import restore
-from harness.store.stored import Stored
+from harness.runner.task import Fitted
 from harness.suite.resolve import Resolved
 from harness.suite.trials import FIT, Trial, stream_seed
 
@@ -20,14 +20,14 @@ from harness.suite.trials import FIT, Trial, stream_seed
 class Jobs:
     """Makes jobs, and keeps what they share: measures may remember something by the object.
 
-    ``stored`` are the stored trials by hash, the fits among them; a caller that adds to it may ask
-    for jobs that need what was added.
+    ``stored`` are the fits by key; a caller that adds to it may ask for jobs that need what was
+    added.
     """
 
     def __init__(
         self,
         baseline: str,
-        stored: dict[str, Stored],
+        stored: dict[str, Fitted],
         note: Callable[[str], None],
         resolved: Resolved | None = None,
     ):

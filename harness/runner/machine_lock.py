@@ -23,7 +23,11 @@ def machine(note: Callable[[str], None], alone: bool = True) -> Iterator[None]:
         _lock(queue, fcntl.LOCK_EX, note)
         _lock(held, fcntl.LOCK_EX if alone else fcntl.LOCK_SH, note)
         fcntl.flock(queue, fcntl.LOCK_UN)
-        yield
+        try:
+            yield
+        finally:
+            # Closing would not do: a process that was forked inside has the file open, too.
+            fcntl.flock(held, fcntl.LOCK_UN)
 
 
 @contextmanager

@@ -7,6 +7,8 @@ from typing import Any
 from harness.core import registry
 from harness.core.protocol.errors import InputError, nearest
 from harness.report.parts import KINDS, names
+from harness.runner.executor import Executor, carry_out
+from harness.runner.task import CHECK, Task
 from harness.suite.plan import Plan
 from harness.suite.trials import Trial
 
@@ -38,33 +40,42 @@ def check_report(plan: Plan) -> None:
                 )
 
 
-def check_trials(plan: Plan, trials: list[Trial]) -> None:
+def check_trials(plan: Plan, trials: list[Trial], execute: Executor) -> None:
     """Adapters of ``trials`` import and take their parameters; files they need are readable.
 
-    Materials by name come with the harness and are made when their turn comes; those that a suite
-    describes are made here.
+    Adapters are constructed where they will run. One that hangs there, or ends its process, is no
+    matter of the suite's: its trials will say so. Materials by name come with the harness and are
+    made when their turn comes; those that a suite describes are made here.
     """
     seen: set[tuple[str, str]] = set()
     check_effects(plan, trials)
     for trial in trials:
-        for kind, label, make in (
-            ("methods", trial.method, lambda t=trial: registry.make(t.method_name, **t.params)),
+        for kind, label, refused in (
+            ("methods", trial.method, lambda t=trial: _refused(plan, t, execute)),
             ("materials", trial.material, lambda t=trial: _described(plan, t)),
         ):
             if (kind, label) in seen:
                 continue
             seen.add((kind, label))
-            try:
-                make()
-            except Exception as error:
-                text = str(error) if isinstance(error, InputError) else registry.oneline(error)
-                text = text.strip().partition("\n")[0]
-                raise InputError(f"{plan.where}: {kind}: '{label}': {text}") from error
+            if text := refused():
+                raise InputError(f"{plan.where}: {kind}: '{label}': {text}")
 
 
-def _described(plan: Plan, trial: Trial) -> None:
-    if isinstance(trial.material_spec, dict):
+def _refused(plan: Plan, trial: Trial, execute: Executor) -> str:
+    """Why the method of a trial cannot be constructed; "" if it can."""
+    return carry_out(execute, Task(CHECK, (trial,), plan.baseline)).refused
+
+
+def _described(plan: Plan, trial: Trial) -> str:
+    """Why a material that the suite describes cannot be made; "" if it can."""
+    if not isinstance(trial.material_spec, dict):
+        return ""
+    try:
         plan.resolved.material(trial)
+    except Exception as error:
+        text = str(error) if isinstance(error, InputError) else registry.oneline(error)
+        return text.strip().partition("\n")[0]
+    return ""
 
 
 def check_effects(plan: Plan, trials: list[Trial]) -> None:

@@ -12,9 +12,11 @@ from collections.abc import Callable, Iterable
 from harness.identity.probe import Probe, difference
 from harness.identity.verdict import ADAPTER, BASELINE, MATERIAL, MEASURE, SCENE, short
 from harness.runner import probing
-from harness.runner.jobs import Jobs
+from harness.runner.executor import Executor, carry_out
+from harness.runner.task import PROBE, Fitted, Task
 from harness.runner.validity import Validity
 from harness.store import code
+from harness.store.files import DamagedFile
 from harness.store.folder import ResultsFolder
 from harness.suite.plan import Plan
 from harness.suite.trials import FIT, Trial
@@ -25,11 +27,11 @@ _WITHOUT_STATE = (MATERIAL, MEASURE, SCENE)
 
 
 class Probes:
-    """The probes of one results folder, which is open for writing."""
+    """The probes of one results folder, which is open for writing; ``execute`` computes them."""
 
-    def __init__(self, plan: Plan, results: ResultsFolder, validity: Validity, jobs: Jobs):
+    def __init__(self, plan: Plan, results: ResultsFolder, validity: Validity, execute: Executor):
         self.plan, self.results, self.validity = plan, results, validity
-        self.prober = probing.Prober(jobs, validity.known)
+        self.execute = execute
         self._asked: dict[tuple[str, str, str], str] = {}
         self._kept = code.probes(results)
 
@@ -41,15 +43,26 @@ class Probes:
                 if part == BASELINE or (part, parts[part]) in self._kept:
                     continue
                 note(f"{trial.material}: a probe of {part}, for when the code changes")
-                try:
-                    made = self.prober.probe(trial, part, self.validity.begins(trial))
-                except Exception:
+                made = self._made(trial, part)
+                if made is None:
                     # Without a probe nothing is known, and a change will be measured again.
                     self._kept[part, parts[part]] = ("", "")
                     continue
                 about = (trial.hash, self.state(trial, part))
                 code.save_probe(self.results, part, parts[part], *about, made.packed())
                 self._kept[part, parts[part]] = about
+
+    def _made(self, trial: Trial, part: str) -> Probe | None:
+        """The probe of a part as it is now; None if it fails, for whatever reason."""
+        fit = self.validity.stored.get(trial.fit)
+        try:
+            fits = {} if fit is None else {trial.fit: Fitted.of(fit)}
+            begins = self.validity.begins(trial)
+            task = Task(PROBE, (trial,), self.plan.baseline, fits, part=part, begins=begins)
+            found = carry_out(self.execute, task).probe
+            return None if found is None else Probe.unpacked(found)
+        except (DamagedFile, ValueError, KeyError):
+            return None
 
     def state(self, trial: Trial, part: str) -> str:
         """Digest of the fitted state that a probe of the part uses; "" for none."""
@@ -85,9 +98,11 @@ class Probes:
             return ""
         try:
             before = Probe.unpacked(code.probe(self.results, part, old))
-            now = self.prober.probe(trial, part, self.validity.begins(trial))
         except Exception:
             return ""  # what cannot be compared is measured again
+        now = self._made(trial, part)
+        if now is None:
+            return ""
         units = code.units(self.results, old), short(self.validity.sources(trial)[part].units)
         trained = trial.measure == FIT and part != MATERIAL
         for kind, timed in ((WORK, True), (NUMBERS, False)):

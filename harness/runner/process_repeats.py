@@ -27,7 +27,7 @@ from harness.measures import registry as measures
 from harness.measures.base import Measure, Outcome
 from harness.runner.jobs import Jobs
 from harness.runner.preflight import ready
-from harness.store.stored import Stored
+from harness.runner.task import Fitted
 from harness.suite.trials import Trial, stream_seed
 
 _KNOWN = {kind.__name__: kind for kind in (Unsupported, BudgetExceeded, FloatingPointError)}
@@ -52,7 +52,7 @@ class _Asked:
 
     trials: list[Trial]
     baseline: str
-    stored: dict[str, Stored]
+    stored: dict[str, Fitted]
     number: int
 
 

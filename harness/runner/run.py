@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import shlex
 from collections import Counter
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from rich.console import Console
 from rich.text import Text
@@ -17,13 +19,14 @@ from harness.measures.base import FAILED
 from harness.runner import executor as executors
 from harness.runner import only as only_option
 from harness.runner import preflight
-from harness.runner.jobs import Jobs
+from harness.runner.driver import Driver
+from harness.runner.executor import Executor
+from harness.runner.limits import Limits
 from harness.runner.only import Only
 from harness.runner.probes import Probes
 from harness.runner.progress import Pace, Progress
 from harness.runner.todo import Todo, make_todo
 from harness.runner.validity import Validity
-from harness.runner.worker import Worker
 from harness.store import code, files
 from harness.store.database import is_ours
 from harness.store.folder import ResultsFolder
@@ -34,6 +37,9 @@ from harness.suite.named import files_of
 from harness.suite.plan import Plan
 from harness.suite.trials import FIT, Trial
 
+if TYPE_CHECKING:
+    from harness.runner.cluster import Cluster
+
 INTERRUPTED = 130
 """Exit status after Ctrl-C, as shells have it."""
 
@@ -43,21 +49,25 @@ class Options:
     """What the command line adds to the plan."""
 
     only: str | None = None
-    executor: str = "local"
+    executor: str | Cluster | None = None
     retry_failed: bool = False
     dry_run: bool = False
     refit: bool = False
+    workers: int = 1
+    """Fits and measures that are not timed, side by side."""
+    limits: Limits = field(default_factory=Limits)
 
 
 def run(plan: Plan, results: Path, options: Options, console: Console) -> int:
     """Carry out what is missing; returns the exit status. Reports nothing but itself."""
-    execute = executors.make(options.executor)
+    if isinstance(options.executor, str):
+        executors.check(options.executor)
     only = only_option.parse(options.only, plan)
     preflight.check_report(plan)
     if options.dry_run:
         if is_ours(results):
             with ResultsFolder(results) as store:
-                todo = _todo(plan, store, only, options)
+                todo = _todo(plan, store, only, options, None)
         else:
             todo = make_todo(plan, {}, Validity(plan, {}), only)
         _list(plan, todo, console)
@@ -65,10 +75,12 @@ def run(plan: Plan, results: Path, options: Options, console: Console) -> int:
         return 0
     with locked(results):
         mend(results, lambda text: _say(console, text, "yellow"))
-        with ResultsFolder(results, write=True) as store:
+        said = _Said()
+        made = make_executor(plan, options, lambda text: said.note(text))
+        with ResultsFolder(results, write=True) as store, made as execute:
             renew(store)
-            todo = _todo(plan, store, only, options)
-            preflight.check_trials(plan, todo.trials)
+            todo = _todo(plan, store, only, options, execute)
+            preflight.check_trials(plan, todo.trials, execute)
             _write_plan(plan, store)
             _say(console, f"{results}: {_counted(todo)}")
             if todo.trials and plan.device == "cpu" and (reason := library.why_not()):
@@ -77,13 +89,21 @@ def run(plan: Plan, results: Path, options: Options, console: Console) -> int:
                 _say(console, f"profile {plan.profile}: {plan.note}", "yellow")
             _explain(todo, console)
             interrupted = False
-            with Progress(console, todo.trials, todo.stored) as progress:
+            with Progress(console, todo.trials, todo.stored, execute.slots) as progress:
+                said.note = progress.note
                 validity = Validity(plan, todo.stored)
-                worker = Worker(
-                    plan, store, todo.stored, validity, progress, options.refit, todo.doubtful
+                driver = Driver(
+                    plan,
+                    store,
+                    todo.stored,
+                    validity,
+                    progress,
+                    execute,
+                    options.refit,
+                    todo.doubtful,
                 )
                 try:
-                    execute.run(todo.units, worker.unit)
+                    driver.run(todo.units)
                 except KeyboardInterrupt:
                     interrupted = True
             store.tidy()
@@ -98,14 +118,41 @@ def run(plan: Plan, results: Path, options: Options, console: Console) -> int:
     return _sum_up(todo, console)
 
 
-def _todo(plan: Plan, store: ResultsFolder, only: Only, options: Options) -> Todo:
+class _Said:
+    """Where notes from inside a task go: nowhere before there is something to show them."""
+
+    def note(self, text: str) -> None:
+        """Show it."""
+
+
+def make_executor(plan: Plan, options: Options, note: Callable[[str], None]) -> Executor:
+    """The executor that is asked for, for the tasks of a plan."""
+    name = options.executor or executors.default
+    if name == executors.INLINE:
+        from harness.runner.inline import Inline
+
+        return Inline(note, plan.resolved)
+    if name == executors.LOCAL:
+        from harness.runner.local import Local
+
+        return Local(note, plan.device, options.workers, options.limits)
+    from harness.runner.cluster import Cluster, connect
+
+    if isinstance(name, str):
+        name = Cluster(connect(None, options.workers), plan.device, options.limits)
+    name.carry(plan)
+    return name
+
+
+def _todo(
+    plan: Plan, store: ResultsFolder, only: Only, options: Options, execute: Executor | None
+) -> Todo:
     """The plan, less what is stored whole and still holds."""
     found = store.trials({trial.hash for trial in plan.trials})
     stored = {key: trial for key, trial in found.items() if trial.status != DAMAGED}
     validity = Validity(plan, stored, lambda digest: code.units(store, digest))
-    if store.write:
-        jobs = Jobs(plan.baseline, stored, lambda text: None, plan.resolved)
-        validity.probed = Probes(plan, store, validity, jobs).same
+    if execute is not None:
+        validity.probed = Probes(plan, store, validity, execute).same
     return make_todo(plan, stored, validity, only, options.retry_failed, options.refit)
 
 
@@ -181,6 +228,9 @@ def _sum_up(todo: Todo, console: Console) -> int:
         more = f" (and {len(trials) - 1} more)" if len(trials) > 1 else ""
         style = "red" if status in FAILED else "yellow"
         _say(console, f"  {status}: {trials[0]}{more}: {reason}", style)
+    findings = Counter(finding for _, stored in found for finding in stored.findings)
+    for finding, count in findings.most_common():
+        _say(console, f"  finding ({_trials(count)}): {finding}", "yellow")
     if failed:
         _say(
             console,

@@ -40,9 +40,7 @@ def chi_square_divergence(
     return np.where(ok, _integral(terms, area) - 1, np.nan)
 
 
-def mean_squared_error(
-    p_star: ArrayLike, p: ArrayLike, area: ArrayLike | None = None
-) -> NDArray:
+def mean_squared_error(p_star: ArrayLike, p: ArrayLike, area: ArrayLike | None = None) -> NDArray:
     """Average over the disk of ``(p - p_star)^2``, [..., n] -> [...]."""
     p_star, p, ok = _pair(p_star, p)
     square = np.square(p - p_star)

@@ -17,7 +17,7 @@ def damage(store: ResultsFolder, trials: Mapping[str, Stored] | None = None) -> 
     """
     trials = store.trials() if trials is None else trials
     found = {key: trial.reason for key, trial in trials.items() if trial.status == DAMAGED}
-    for key, reason in store.array_damage().items():
+    for key, reason in store.array_damage(trials).items():
         found.setdefault(key, reason)
     seen: dict[tuple[str, str], str] = {}
     for key, trial in trials.items():

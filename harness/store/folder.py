@@ -257,9 +257,11 @@ class ResultsFolder:
         with explained(self.folder):
             return raw.read(self._connection, self.folder, key, kept)
 
-    def array_damage(self) -> dict[str, str]:
-        """What is wrong with raw arrays, by trial, or by the key of a probe."""
-        trials = self.trials()
+    def array_damage(self, trials: Mapping[str, Stored]) -> dict[str, str]:
+        """What is wrong with raw arrays, by trial, or by the key of a probe.
+
+        ``trials`` are all that are stored.
+        """
         with explained(self.folder):
             return raw.damage(self._connection, self.folder, self._named_arrays(trials))
 

@@ -60,6 +60,8 @@ class Stored:
     """Digest of the analysis that made the records of the raw outputs; "" if it cannot again."""
     state: str = ""
     """Digest of the fitted method's state, which published results name without keeping it."""
+    findings: list[str] = field(default_factory=list)
+    """What the method was seen to change that is not its own, such as torch's default type."""
     kept_arrays: dict[str, str] = field(default_factory=dict)
     """Digests of the raw arrays, by name."""
     files: dict[str, str] = field(default_factory=dict)

@@ -63,11 +63,12 @@ def make_plan(
     profile: str | None = None,
     device: str = "cpu",
     fitted: Callable[[Trial], Any] = lambda trial: None,
+    on: dict[str, Any] | None = None,
 ) -> Plan:
     """The plan of ``loaded`` in ``profile`` (by default ``quick``, if the suite has it).
 
     ``fitted`` says whether a fit need not be run, for the profile ``fast``, which makes others
-    small.
+    small. ``on`` is the identity of the machine that times are of, by default of this one.
     """
     suite = loaded.suite
     try:
@@ -78,7 +79,7 @@ def make_plan(
             chosen = fast.profile_of(suite, suite.profiles.get(DEFAULT_PROFILE, Profile()), there)
         said = fast.note(chosen) if name == fast.NAME and name not in suite.profiles else ""
         baseline = _baseline(suite, chosen)
-        expansion = _Expansion(suite, name, chosen, device, baseline, loaded.path.parent)
+        expansion = _Expansion(suite, name, chosen, device, baseline, loaded.path.parent, on)
         return Plan(
             suite=suite.name,
             title=f"{suite.title or suite.name}{f' ({said})' if said else ''}",
@@ -145,12 +146,13 @@ class _Expansion:
         device: str,
         baseline: str,
         folder: Path,
+        on: dict[str, Any] | None = None,
     ):
         from harness.materials import registry as materials
         from harness.scenes import registry as scenes
 
         self.suite, self.profile, self.profile_name = suite, profile, profile_name
-        self.device = device
+        self.device, self.on = device, on
         self.settings = self._settings()
         self.kinds = {name: measures.load(name) for name in self.settings}
         _each("methods", suite.methods, lambda m: registry.find(m.name))
@@ -244,7 +246,7 @@ class _Expansion:
             # Numbers in comparison with the baseline change with the baseline.
             identity["baseline"] = self.baseline
         if measure.on_machine():
-            identity["machine"] = machine.identity(self.device)
+            identity["machine"] = self.on or machine.identity(self.device)
         return replace(
             blank,
             identity=identity,

@@ -59,6 +59,8 @@ KEYS = {
 """By schema: what each key means."""
 
 SETTINGS = {
+    "angles": ("angles", "of incidence, evenly spaced in their cosine"),
+    "azimuths": ("azimuths", "of each angle"),
     "agreement": ("1", "times achieved within a deadline may differ by this share"),
     "batch": ("rows", "of a timed call"),
     "batches": ("renders", "independent ones, over which intervals are"),
@@ -76,7 +78,9 @@ SETTINGS = {
     "max_processes": ("processes", "while an interval is too wide; null: as many as `processes`"),
     "max_rounds": ("rounds", "while an interval is too wide; null: twice `rounds`, 0: no more"),
     "max_seconds": ("s", "after which no more is begun"),
+    "pairs": ("pairs", "of directions, of which f is asked for both ways"),
     "patience": ("s", "a method that would need longer is not begun: `timeout`"),
+    "places": ("places", "at which a material that varies is evaluated"),
     "pixels": ("pixels", "of those that show the material, at most, evenly chosen"),
     "points": ("directions", "drawn at each of two points of a pixel; a multiple of eight"),
     "power_seconds": ("s", "of batches more, for the power of the test"),
@@ -101,6 +105,7 @@ SETTINGS = {
     "tolerance": ("1", "width of an interval over its value that is narrow enough; in `effects`"
                   " root of the relative mean squared error that does not matter"),
     "views": ("pictures", "of each level of detail"),
+    "walks": ("particles", "of each channel and direction"),
     "warm_up": ("s", "of warming up at most"),
 }  # fmt: skip
 """By name: unit and meaning."""

@@ -5,14 +5,16 @@ from __future__ import annotations
 import base64
 import json
 import math
+import re
 from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
 
 from harness.analysis.combine import Estimate
-from harness.core.text import printable
 
+_ESCAPED = re.compile("[<>&\u2028\u2029\x7f-\x9f\u061c\u200e\u200f\u202a-\u202e\u2066-\u2069]")
+"""Ends of elements and lines, control characters, and what turns the direction of text."""
 DIGITS = 6
 """Significant digits of a number on the page; what is printed comes as text."""
 
@@ -61,21 +63,8 @@ def packed(array: np.ndarray) -> dict[str, Any]:
 
 
 def script_json(data: Any) -> str:
-    """JSON for a ``script`` element: no ``<`` that could end it or begin a comment.
-
-    What is not printable in a text is written out.
-    """
-    text = json.dumps(_seen(data), ensure_ascii=False, separators=(",", ":"), allow_nan=False)
-    for character in "<>&":
-        text = text.replace(character, f"\\u{ord(character):04x}")
-    return text
-
-
-def _seen(data: Any) -> Any:
-    if isinstance(data, str):
-        return printable(data)
-    if isinstance(data, dict):
-        return {_seen(key): _seen(value) for key, value in data.items()}
-    if isinstance(data, list | tuple):
-        return [_seen(value) for value in data]
-    return data
+    """JSON for a ``script`` element: no ``<`` that could end it or begin a comment."""
+    text = json.dumps(data, ensure_ascii=False, separators=(",", ":"), allow_nan=False)
+    text = _ESCAPED.sub(lambda found: f"\\u{ord(found[0]):04x}", text)
+    # Half of a surrogate pair has no UTF-8, and NUL no place in HTML.
+    return text.encode("utf-8", "replace").decode("utf-8")

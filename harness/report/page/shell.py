@@ -7,14 +7,10 @@ import zlib
 from collections.abc import Sequence
 from functools import cache
 from importlib import resources
-from pathlib import Path
 from typing import Any
 
 from harness.report.formats.html import render
 from harness.report.page.plain import script_json
-
-_MARK = b'<meta name="generator" content="bsdf-sampling-harness">'
-"""In ``templates/page.html``."""
 
 
 def whole(
@@ -37,12 +33,6 @@ def whole(
         pixels=script_json(list(pixels)),
         plotly=plotly() if plots else "",
     )
-
-
-def is_page(path: Path) -> bool:
-    """Whether a file is one of these documents."""
-    with path.open("rb") as file:
-        return _MARK in file.read(2000)
 
 
 @cache

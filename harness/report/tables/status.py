@@ -1,4 +1,4 @@
-"""The trials that gave no number, and why."""
+"""The trials that gave no number, and why; what methods did that they should not."""
 
 from __future__ import annotations
 
@@ -19,6 +19,10 @@ def status(results: Results) -> Table | str:
     for row in failed[~waiting].to_dict("records"):
         reason = " ".join(str(row["reason"]).split()) or "no reason stored"
         alike.setdefault((row["method"], row["status"], reason), []).append(row)
+    for row in results.frame.drop_duplicates("trial").to_dict("records"):
+        stored = results.found.get(row["trial"])
+        for finding in stored.findings if stored else ():
+            alike.setdefault((row["method"], "finding", finding), []).append(row)
     rows = []
     for (method, state, reason), members in alike.items():
         words = (method, _places(members, results), state, reason)

@@ -45,12 +45,18 @@ class Survival(NamedTuple):
         return spread.clamp(min=0).sqrt()
 
 
-def draw(source: Any, directions: int, group: int, seed: int, device: str = "cpu") -> Survival:
-    """``group`` particles a channel from each of so many random places and directions."""
+def draw(
+    source: Any, directions: int, group: int, seed: int, device: str = "cpu", spread: bool = False
+) -> Survival:
+    """``group`` particles a channel from each of so many random directions, and places.
+
+    All of a direction start at one place, or with ``spread`` each at its own, which knows the mean
+    over the tile better.
+    """
     random = generator(seed)
     u = torch.rand(directions, 2, generator=random)
     wi = square_to_disk(torch.rand(directions, 2, generator=random))
-    return at(source, u, wi, group, seed + 1, device)
+    return at(source, u, wi, group, seed + 1, device, spread)
 
 
 def at(

@@ -49,8 +49,8 @@ _MINUTES = Profile(
     likelihood_steps=250,
     likelihood_batch=1 << 11,
     directions=1 << 17,
-    group=8,
-    albedo_steps=1500,
+    group=32,
+    albedo_steps=2500,
 )
 _TEXTURE = Architecture(
     width=128, albedo_width=128, albedo_layers=5, residual=True, resolution=256, channels=32

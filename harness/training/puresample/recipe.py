@@ -55,7 +55,14 @@ def train(
     start = time.perf_counter()
     walked = data.draw(source, chosen.walks, seed, device)
     data.check(source, walked.counts)
-    survival = albedo.draw(source, chosen.directions, chosen.group, seed + _ALBEDO, device)
+    survival = albedo.draw(
+        source,
+        chosen.directions,
+        chosen.group,
+        seed + _ALBEDO,
+        device,
+        spread=not chosen.architecture.textured,
+    )
     data_seconds = time.perf_counter() - start
     start = time.perf_counter()
     network = fitted(chosen, walked, survival, seed, device, notify)

@@ -1,0 +1,150 @@
+"""How close a material learned from walks comes to the walks: energy, shape, reciprocity."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import torch
+
+from harness.core.protocol.disk import disk_to_square, square_to_disk
+from harness.core.protocol.errors import InputError, Unsupported
+from harness.materials.puresample.material import PureSampleMaterial
+from harness.measures.base import Job, Measure, Outcome
+from harness.measures.base import Settings as BaseSettings
+from harness.measures.compact import single
+from harness.microgeometry.walks import surfaces
+
+CELLS = 12
+"""A side of the grid of cells of equal area in which f is compared."""
+_POINTS = 4
+"""A side of the raster of points of a cell at which the material is evaluated."""
+_CHANNELS = 3
+
+
+class Walks(Measure):
+    """The albedo and f of a material beside particles that walk through its microgeometry.
+
+    At ``angles`` cosines of wi, evenly spaced, and ``azimuths`` of each, ``walks`` particles a
+    channel start at random places. How many leave is an estimate of the albedo with a binomial
+    error, and where they leave one of the integral of f over the 12^2 cells of the disk, whose
+    noise is known and taken off the difference. The material is evaluated at 4^2 points a cell,
+    at one random place for each of ``places`` where it varies.
+
+    Reciprocity: f(wi, wo) and f(wo, wi) at ``pairs`` of directions uniform on the disk. The
+    geometry is reciprocal in the mean over its tile; the material is not by construction. The
+    method plays no part.
+    """
+
+    name = "walks"
+    needs_scene = False
+
+    class Settings(BaseSettings):
+        """See the class."""
+
+        angles: int = 8
+        azimuths: int = 2
+        walks: int = 1 << 17
+        pairs: int = 4096
+        places: int = 16
+
+    def run(self, jobs: list[Job], notify: Callable[[str], None]) -> list[Outcome]:
+        """See :class:`Measure`."""
+        return [self._one(job, self.Settings(**job.settings), notify) for job in jobs]
+
+    def _one(self, job: Job, settings: Settings, notify: Callable[[str], None]) -> Outcome:
+        material, random = job.material, job.generator
+        source = source_of(material)
+        cosine = (torch.arange(settings.angles) + 0.5) / settings.angles
+        left, count, mass = [], [], []
+        for i, z in enumerate(cosine):
+            notify(f"cosine {float(z):.2f}")
+            turn = 2 * math.pi * torch.rand(settings.azimuths, generator=random)
+            sine = torch.sqrt(1 - z * z)
+            for k, wi in enumerate(sine * torch.stack([turn.cos(), turn.sin()], 1)):
+                seed = job.seed + (1 + i * settings.azimuths + k) * 1000
+                seen = walked(source, wi, settings.walks, seed, random)
+                left.append(seen.sum(1))
+                count.append(seen)
+                mass.append(evaluated(material, wi, settings.places, random))
+        f = reciprocal(material, settings.pairs, random)
+        shape = (settings.angles, settings.azimuths)
+        return Outcome(
+            arrays={
+                "cosine": single(cosine.numpy()),
+                "walks": np.array(settings.walks),
+                "left": np.stack(left).reshape(*shape, _CHANNELS),
+                "count": np.stack(count).reshape(*shape, _CHANNELS, CELLS**2).astype(np.int32),
+                "mass": single(np.stack(mass).reshape(*shape, _CHANNELS, CELLS**2)),
+                "pairs": single(f),
+                "size_bytes": np.array(size_bytes(material)),
+            }
+        )
+
+
+def walked(source: Any, wi: torch.Tensor, n: int, seed: int, random: torch.Generator) -> np.ndarray:
+    """How many of ``n`` particles of each channel leave into each cell: [3, CELLS^2]."""
+    found = []
+    for channel in range(_CHANNELS):
+        u = torch.rand(n, 2, generator=random)
+        rows, of = wi.expand(n, 2).contiguous(), torch.full((n,), channel)
+        exits = source.walk(u, rows, of, seed + channel)
+        square = disk_to_square(exits.wo[exits.left].double().cpu()) * CELLS
+        cell = square.long().clamp(0, CELLS - 1)
+        index = cell[:, 0] * CELLS + cell[:, 1]
+        found.append(torch.bincount(index, minlength=CELLS**2).numpy())
+    return np.stack(found)
+
+
+def evaluated(
+    material: PureSampleMaterial, wi: torch.Tensor, places: int, random: torch.Generator
+) -> np.ndarray:
+    """Integral [3, CELLS^2] of the material's f over each cell."""
+    side = CELLS * _POINTS
+    at = (torch.arange(side) + 0.5) / side
+    wo = square_to_disk(torch.cartesian_prod(at, at))
+    here = torch.rand(places if material.n_features else 1, 2, generator=random)
+    total = 0.0
+    for features in material.places(here):
+        rows = torch.cat([features, wi]).expand(len(wo), -1).contiguous()
+        total = total + material.eval(rows, wo).double() / len(here)
+    cells = total.view(CELLS, _POINTS, CELLS, _POINTS, _CHANNELS).mean((1, 3))
+    return (cells.view(-1, _CHANNELS).T * (math.pi / CELLS**2)).numpy()
+
+
+def reciprocal(material: PureSampleMaterial, n: int, random: torch.Generator) -> np.ndarray:
+    """f [n, 2, 3] at random pairs of directions, one way and the other."""
+    u = torch.rand(n, 6, generator=random)
+    features = material.places(u[:, 4:])
+    a, b = (square_to_disk(u[:, k : k + 2]) for k in (0, 2))
+    ways = [material.eval(torch.cat([features, x], 1), y) for x, y in ((a, b), (b, a))]
+    return torch.stack(ways, 1).numpy()
+
+
+def size_bytes(material: PureSampleMaterial) -> int:
+    """Of the tensors as they are stored: a texture in half precision."""
+    net = material.network
+    small = 0 if net.texture is None else net.texture.numel() * 2
+    return sum(v.numel() * v.element_size() for v in net.state_dict().values()) - small
+
+
+def source_of(material: Any) -> Any:
+    """The surface that a material was learned from.
+
+    Raises:
+        Unsupported: it was not learned from walks, or its surface is not known or has changed.
+    """
+    if not isinstance(material, PureSampleMaterial) or "name" not in material.record:
+        raise Unsupported(f"material '{material.name}' has no record of walks")
+    name = material.record["name"]
+    try:
+        surface = surfaces.load(name)
+    except InputError:
+        message = f"material '{material.name}': there is no description '{name}' any more"
+        raise Unsupported(message) from None
+    if json.loads(json.dumps(surface.identity())) != material.record["description"]:
+        raise Unsupported(f"material '{material.name}': description '{name}' has changed since")
+    return surface
