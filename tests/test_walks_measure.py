@@ -94,6 +94,7 @@ def test_asymmetry_is_the_reciprocity_error():
     arrays = {
         "walks": np.array(100), "left": np.full((1, 1, 3), 50), "pairs": f,
         "count": np.full((1, 1, 3, 4), 12), "mass": np.full((1, 1, 3, 4), 0.12),
+        "learned": np.full((1, 1, 3), 0.48),
         "size_bytes": np.array(7),
     }  # fmt: skip
     found = {r.metric: r.value for r in records.numbers(Raw(arrays, {}, {})).records}

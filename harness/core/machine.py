@@ -39,8 +39,10 @@ def kernels() -> str:
     """What runs networks over columns on the CPU: compiled kernels, or Dr.Jit and why."""
     from harness.core.compiled import library
 
-    reason = library.why_not()
-    return f"Dr.Jit; no compiled kernels: {reason}" if reason else f"compiled for {library.name()}"
+    made = library.found()
+    if isinstance(made, str):
+        return f"Dr.Jit; no compiled kernels: {made}"
+    return f"compiled for {made.name}"
 
 
 def versions(packages: tuple[str, ...] = COUNTED_VERSIONS, local: bool = False) -> dict[str, str]:

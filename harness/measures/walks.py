@@ -20,8 +20,9 @@ from harness.microgeometry.walks import surfaces
 
 CELLS = 12
 """A side of the grid of cells of equal area in which f is compared."""
-_POINTS = 4
-"""A side of the raster of points of a cell at which the material is evaluated."""
+_POINTS = 12
+"""A side of the raster of points of a cell at which the material is evaluated: with 4, a narrow
+peak of `bronze-grains` lost 2 % of its energy."""
 _CHANNELS = 3
 
 
@@ -31,8 +32,8 @@ class Walks(Measure):
     At ``angles`` cosines of wi, evenly spaced, and ``azimuths`` of each, ``walks`` particles a
     channel start at random places. How many leave is an estimate of the albedo with a binomial
     error, and where they leave one of the integral of f over the 12^2 cells of the disk, whose
-    noise is known and taken off the difference. The material is evaluated at 4^2 points a cell,
-    at one random place for each of ``places`` where it varies.
+    noise is known and taken off the difference. The material says its albedo itself; its f is
+    evaluated at 12^2 points a cell, at one random place for each of ``places`` where it varies.
 
     Reciprocity: f(wi, wo) and f(wo, wi) at ``pairs`` of directions uniform on the disk. The
     geometry is reciprocal in the mean over its tile; the material is not by construction. The
@@ -59,7 +60,7 @@ class Walks(Measure):
         material, random = job.material, job.generator
         source = source_of(material)
         cosine = (torch.arange(settings.angles) + 0.5) / settings.angles
-        left, count, mass = [], [], []
+        left, count, learned, mass = [], [], [], []
         for i, z in enumerate(cosine):
             notify(f"cosine {float(z):.2f}")
             turn = 2 * math.pi * torch.rand(settings.azimuths, generator=random)
@@ -69,7 +70,10 @@ class Walks(Measure):
                 seen = walked(source, wi, settings.walks, seed, random)
                 left.append(seen.sum(1))
                 count.append(seen)
-                mass.append(evaluated(material, wi, settings.places, random))
+                many = settings.places if material.n_features else 1
+                rows = conditions(material, wi, torch.rand(many, 2, generator=random))
+                learned.append(material.albedo(rows).double().mean(0).numpy())
+                mass.append(evaluated(material, rows))
         f = reciprocal(material, settings.pairs, random)
         shape = (settings.angles, settings.azimuths)
         return Outcome(
@@ -78,6 +82,7 @@ class Walks(Measure):
                 "walks": np.array(settings.walks),
                 "left": np.stack(left).reshape(*shape, _CHANNELS),
                 "count": np.stack(count).reshape(*shape, _CHANNELS, CELLS**2).astype(np.int32),
+                "learned": np.stack(learned).reshape(*shape, _CHANNELS),
                 "mass": single(np.stack(mass).reshape(*shape, _CHANNELS, CELLS**2)),
                 "pairs": single(f),
                 "size_bytes": np.array(size_bytes(material)),
@@ -99,18 +104,20 @@ def walked(source: Any, wi: torch.Tensor, n: int, seed: int, random: torch.Gener
     return np.stack(found)
 
 
-def evaluated(
-    material: PureSampleMaterial, wi: torch.Tensor, places: int, random: torch.Generator
-) -> np.ndarray:
-    """Integral [3, CELLS^2] of the material's f over each cell."""
+def conditions(material: PureSampleMaterial, wi: torch.Tensor, uv: torch.Tensor) -> torch.Tensor:
+    """Rows [P, C] of the material at places ``uv`` [P, 2] and one direction [2]."""
+    return torch.cat([material.places(uv), wi.expand(len(uv), 2)], 1)
+
+
+def evaluated(material: PureSampleMaterial, rows: torch.Tensor) -> np.ndarray:
+    """Integral [3, CELLS^2] of the material's f over each cell, in the mean over rows [P, C]."""
     side = CELLS * _POINTS
     at = (torch.arange(side) + 0.5) / side
     wo = square_to_disk(torch.cartesian_prod(at, at))
-    here = torch.rand(places if material.n_features else 1, 2, generator=random)
     total = 0.0
-    for features in material.places(here):
-        rows = torch.cat([features, wi]).expand(len(wo), -1).contiguous()
-        total = total + material.eval(rows, wo).double() / len(here)
+    for row in rows:
+        f = material.eval(row.expand(len(wo), -1).contiguous(), wo)
+        total = total + f.double() / len(rows)
     cells = total.view(CELLS, _POINTS, CELLS, _POINTS, _CHANNELS).mean((1, 3))
     return (cells.view(-1, _CHANNELS).T * (math.pi / CELLS**2)).numpy()
 

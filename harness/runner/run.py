@@ -83,8 +83,9 @@ def run(plan: Plan, results: Path, options: Options, console: Console) -> int:
             preflight.check_trials(plan, todo.trials, execute)
             _write_plan(plan, store)
             _say(console, f"{results}: {_counted(todo)}")
-            if todo.trials and plan.device == "cpu" and (reason := library.why_not()):
-                _say(console, f"no compiled kernels ({reason}): {library.WITHOUT}", "yellow")
+            kernels = library.found() if todo.trials and plan.device == "cpu" else None
+            if isinstance(kernels, str):
+                _say(console, f"no compiled kernels ({kernels}): {library.WITHOUT}", "yellow")
             if plan.note:
                 _say(console, f"profile {plan.profile}: {plan.note}", "yellow")
             _explain(todo, console)

@@ -16,8 +16,7 @@ _Z = 1.959964
 def numbers(raw: Raw) -> Numbers:
     """See :class:`harness.measures.walks.Walks`."""
     n = raw.value("walks")
-    left, count, mass = (raw.floats(key) for key in ("left", "count", "mass"))
-    learned = mass.sum(-1)
+    left, count, mass, learned = (raw.floats(k) for k in ("left", "count", "mass", "learned"))
     known = left / n
     records = [
         Record(f"albedo-ratio-{i}", *_ratio(known[i], learned[i], n), "1")

@@ -50,7 +50,7 @@ def _panel(axes, raw: dict[str, np.ndarray], material: str) -> None:
     cosine, n = raw["cosine"], float(raw["walks"])
     known = raw["left"].astype(float) / n
     error = np.sqrt((known * (1 - known) / n).sum(1)) / known.shape[1]
-    known, learned = known.mean(1), raw["mass"].sum(-1).mean(1)
+    known, learned = known.mean(1), raw["learned"].mean(1)
     for k, colour in enumerate(_COLOURS):
         axes.plot(cosine, learned[:, k], color=colour, linewidth=1)
         axes.errorbar(
