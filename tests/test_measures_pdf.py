@@ -141,6 +141,16 @@ def test_slices():
     assert values(outcome)["kl-mean"] == pytest.approx(kl.mean())
 
 
+def test_sampled_points_follow_the_density_beside_them():
+    arrays = measured("slices", Uneven(0.5), Still(), count=2, grid=8, samples=4000).arrays
+    assert arrays["samples"].shape == (2, 4000, 2)
+    cells = np.floor((arrays["samples"] + 1) * 4).astype(int)
+    for points, density in zip(cells, arrays["pdf"], strict=True):
+        right = (points[:, 0] >= 4).mean()
+        expected = np.nansum(density[:, 4:]) / np.nansum(density)
+        assert right == pytest.approx(expected, abs=5 * math.sqrt(0.25 / 4000) + 0.02)
+
+
 def test_slices_have_one_target_for_all_methods():
     outcomes = [measured("slices", m, Still(), count=1, grid=16) for m in (Uneven(), Uneven(0.5))]
     assert_same_bytes(*outcomes, names=("target", "condition"))

@@ -30,7 +30,7 @@ RECORDS = 10_000
 def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return Made(
         methods=["cosine", "improved-baseline", "two-lobe", "histogram-mixture", HOSTILE],
-        materials=["suede", "brocade"], seeds=(0, 1), size=SIZE,
+        materials=["suede", "brocade", "star-tiles"], seeds=(0, 1), size=SIZE,
     ).write(tmp_path_factory.mktemp("page") / "first")  # fmt: skip
 
 
@@ -110,7 +110,7 @@ def test_a_heading_sorts_and_means_stay_below(watched: Watched):
     tab = watched.tab
     heads = tab.locator("#table-table2 thead").first.locator("th")
     names = heads.all_inner_texts()
-    at = names.index("two-lobe")
+    at = next(i for i in range(1, len(names)) if len(numbers(column(tab, i)[:-1])) > 1)
     heads.nth(at).locator("button").click()
     values = numbers(column(tab, at)[:-1])
     assert len(values) > 1 and values == sorted(values, reverse=True)

@@ -15,12 +15,12 @@ from harness.analysis.combine import Estimate
 from harness.analysis.quantities import nanoseconds_per_sample
 from harness.analysis.results import MethodColumn, Results
 from harness.report.figures.canvas import Canvas, styled
-from harness.report.figures.images import _worst_square
 from harness.report.figures.palette import looks
 from harness.report.figures.rendered import exposure, reference, srgb
 from harness.report.figures.small_multiples import Labels, panels
 from harness.report.figures.tradeoff import Point, _front
 from harness.report.parts import part, parts
+from harness.report.series.shots import telling_squares, worst_square
 from tests.report_reading import cell_of
 from tests.report_results import MATERIALS, METHODS, Made
 
@@ -51,13 +51,28 @@ def test_image_helpers():
     assert exposure(image) == pytest.approx(4.0)
     noisy = image.copy()
     noisy[20:26, 4:10] += 1.0
-    row, column = _worst_square([noisy, image], image, None)
-    assert row <= 20 and row + 8 >= 26 and column <= 4 and column + 8 >= 10
+    found = worst_square([noisy, image], image, None)
+    assert found.row <= 20 and found.row + 8 >= 26
+    assert found.column <= 4 and found.column + 8 >= 10
     noisy[0:6, 20:26] += 0.5
     elsewhere = np.zeros((32, 32), bool)
     elsewhere[:12] = True
-    row, column = _worst_square([noisy, image], image, elsewhere)
-    assert row == 0 and column <= 20 and column + 8 >= 26
+    found = worst_square([noisy, image], image, elsewhere)
+    assert found.row == 0 and found.column <= 20 and found.column + 8 >= 26
+
+
+def test_squares_are_where_methods_differ_not_where_all_are_wrong():
+    image = np.full((32, 32, 3), 0.25)
+    one, other = image.copy(), image.copy()
+    one[0:8, 0:8] += 1.0
+    other[0:8, 0:8] += 1.0  # both are as wrong there
+    other[20:26, 20:26] += 0.3
+    first, *others = telling_squares([one, other], image, None)
+    assert first.row <= 20 and first.row + 8 >= 26
+    assert first.column <= 20 and first.column + 8 >= 26
+    for square in others:
+        assert abs(square.row - first.row) > 8 or abs(square.column - first.column) > 8
+    assert telling_squares([image, image], image, None) == []
 
 
 def test_thumbnails_are_of_the_materials_that_were_rendered(tmp_path: Path):

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from typing import Annotated
 
 import numpy as np
 import torch
+from pydantic import Field
 
 from harness.core.protocol.disk import inside_disk
 from harness.measures.base import Job, Measure, Outcome
@@ -16,7 +18,7 @@ from harness.measures.densities import checked_density
 
 
 class Slices(Measure):
-    """p* and p on a regular grid of [-1, 1]^2, nan off the disk, with KL and MSE of each.
+    """p* and p on a regular grid of [-1, 1]^2, nan off the disk, and directions the method draws.
 
     The conditions are the same for all methods of a material. Both densities are taken at
     cell centres; p* is normalised over the grid, p is shown as the method gives it.
@@ -26,10 +28,11 @@ class Slices(Measure):
     needs_scene = False
 
     class Settings(BaseSettings):
-        """``count`` conditions on a ``grid`` x ``grid`` raster."""
+        """``count`` conditions on a ``grid`` x ``grid`` raster; ``samples`` points of each."""
 
         count: int = 3
         grid: int = 128
+        samples: Annotated[int, Field(ge=0)] = 300
 
     def run(self, jobs: list[Job], notify: Callable[[str], None]) -> list[Outcome]:
         """See :class:`Measure`."""
@@ -55,4 +58,13 @@ class Slices(Measure):
             image = np.full((settings.count, n, n), math.nan)
             image[:, column[:, 1], column[:, 0]] = density
             arrays[name] = single(image)
+        arrays["samples"] = self._samples(job, condition, settings.samples)
         return Outcome(arrays=arrays)
+
+    @staticmethod
+    def _samples(job: Job, condition: torch.Tensor, count: int) -> np.ndarray:
+        """Directions [K, count, 2] drawn by the method; some may lie off the disk."""
+        rows = condition.repeat_interleave(count, 0)
+        u = torch.rand(len(rows), 3, generator=job.generator).to(condition)
+        wo = job.method.sample(rows, u).wo
+        return single(wo.view(len(condition), count, 2).double().cpu().numpy())

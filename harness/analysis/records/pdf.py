@@ -5,10 +5,12 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 
 from harness.core.record import Numbers, Raw, Record
 from harness.stats.intervals import Interval
-from harness.stats.skewed_mean import skewed_mean
+from harness.stats.share import mean_share
+from harness.stats.skewed_mean import SkewedMean, skewed_mean
 
 _UNITS = {"kl": "nats", "chi2": "1", "mse": "1", "lost-share": "1", "invalid-share": "1"}
 """Arrays with a value for each condition, and their units."""
@@ -16,7 +18,7 @@ _UNITS = {"kl": "nats", "chi2": "1", "mse": "1", "lost-share": "1", "invalid-sha
 
 def numbers(raw: Raw) -> Numbers:
     """See :class:`harness.measures.pdf.Pdf`."""
-    means = {metric: skewed_mean(raw.floats(metric)) for metric in _UNITS}
+    means = {metric: _mean(metric, raw.floats(metric)) for metric in _UNITS}
     records = [
         Record(metric, *_ends(means[metric].interval), unit) for metric, unit in _UNITS.items()
     ]
@@ -33,6 +35,14 @@ def numbers(raw: Raw) -> Numbers:
             ),
         ]
     )
+
+
+def _mean(metric: str, values: NDArray) -> SkewedMean:
+    """Of a share with an interval of shares; one that is nan is no share, nor one by rounding."""
+    share = metric.endswith("-share") and len(values) > 0
+    if share and ((values >= 0) & (values <= 1)).all():
+        return SkewedMean(mean_share(values), "not diagnosed")
+    return skewed_mean(values)
 
 
 def _ends(interval: Interval) -> Interval:

@@ -14,6 +14,7 @@ from harness.analysis.records.slices import divergences
 from harness.analysis.results import MethodColumn, Results
 from harness.report.figures.canvas import Canvas, Drawn, picture, sheet, styled, wrapped
 from harness.report.formats.short import short
+from harness.report.series.slices import BELOW_ZERO
 
 ORDER = 60
 MEASURE = "slices"
@@ -79,8 +80,14 @@ def _page(results: Results, canvas: Canvas, rows: list[tuple[str, int]], name: s
         "Density over the projected disk of outgoing directions, per disk area: the target p* "
         "and the pdf of each method, for randomly drawn conditions. One colour scale a row, from "
         "0 to the target's peak (its 99.9% quantile), with a square root between so that dim "
-        "parts can be seen. Under each: KL divergence from the target in nats, and MSE.",
+        "parts can be seen. Under each: KL divergence from the target in nats, and MSE."
+        + (f" ‡ {BELOW_ZERO}." if _any_below(results, methods, rows) else ""),
     )
+
+
+def _any_below(results: Results, methods: list[MethodColumn], rows: list[tuple[str, int]]) -> bool:
+    trials = [(results.trials(MEASURE, m, c.label)[:1], k) for m, k in rows for c in methods]
+    return any(divergences(results.arrays(t[0]))[0][k] < 0 for t, k in trials if t)
 
 
 def _target(results: Results, material: str, k: int) -> np.ndarray:
@@ -109,7 +116,8 @@ def _method(
     arrays = results.arrays(trials[0])
     _disk(axes, centre, arrays["pdf"][k], norm)
     kl, mse = divergences(arrays)
-    _under(axes, centre, f"KL {short(kl[k])}\nMSE {short(mse[k])}")
+    mark = "‡" if kl[k] < 0 else ""
+    _under(axes, centre, f"KL {short(kl[k])}{mark}\nMSE {short(mse[k])}")
 
 
 def missing(axes: Axes, centre: tuple[float, float], why: str) -> None:

@@ -14,6 +14,7 @@ from harness.report.formats.short import short
 from harness.report.page.names import Names
 from harness.report.page.plain import estimate, number, packed, series
 from harness.report.series.pareto import Point, panels
+from harness.report.series.slices import BELOW_ZERO
 
 _DENSITY_BUDGET = 2_000_000
 """Characters that densities may take on a page; materials beyond it are left to the figures."""
@@ -114,7 +115,7 @@ def densities(results: Results) -> dict[str, Any]:
             continue
         size += here
         made.append(entry)
-    return {"materials": made, "left": left}
+    return {"materials": made, "left": left, "belowZero": BELOW_ZERO}
 
 
 def _density(results: Results, names: Names, trial: str, peaks: list[float]) -> dict[str, Any]:
@@ -126,21 +127,12 @@ def _density(results: Results, names: Names, trial: str, peaks: list[float]) -> 
         "grid": packed(_bytes(arrays["pdf"], peaks)),
         "kl": [short(v) for v in kl],
         "mse": [short(v) for v in mse],
-        "klNote": [_why_negative(v) for v in kl],
+        "below": [bool(v < 0) for v in kl],
     }
     if "samples" in arrays:
         # Directions [K, S, 2]; what is off the disk is not a direction, and is counted.
         made["samples"] = [series(one[:_DRAWN].ravel(), 3) for one in arrays["samples"]]
     return made
-
-
-def _why_negative(kl: float) -> str:
-    if not kl < 0:
-        return ""
-    return (
-        "below zero: on the disk the pdf as the method gives it integrates to more than one, or "
-        "the grid's cells miss a part of it"
-    )
 
 
 def _peak(target: np.ndarray) -> float:

@@ -10,6 +10,7 @@ function setUpDensities(place) {
   const left = report.densities.left;
   const figure = el("figure", { class: "plotting", id: "densities" }, el("h3", {}, "Densities"), form, grid,
     el("figcaption", {}, "Density per area of the projected disk: the target p* and the pdf of each method, for randomly drawn conditions. One colour scale a row, from 0 to the target's peak (its 99.9% quantile), with a square root between. KL divergence in nats and mean squared error from the target below each.",
+      found.some((one) => one.methods.some((method) => method.below.some(Boolean))) ? ` ‡ ${report.densities.belowZero}.` : null,
       left.length ? ` Without room on this page: ${left.join(", ")}; the print figures have them.` : ""));
   place.append(figure);
   const draw = () => {
@@ -32,9 +33,9 @@ async function drawDensities(grid, found, points) {
     const cells = [disk(target, k, side, "target p*", `peak ${brief(found.peaks[k])}`, null, found.peaks[k])];
     methods.forEach((one, i) => {
       const name = report.methods[one.method].label;
-      const said = [`KL ${one.kl[k]}${one.klNote[k] ? " ‡" : ""}`, `MSE ${one.mse[k]}`].join(", ");
+      const said = [`KL ${one.kl[k]}${one.below[k] ? " ‡" : ""}`, `MSE ${one.mse[k]}`].join(", ");
       const made = disk(all[i], k, side, name, said, points && one.samples ? one.samples[k] : null, found.peaks[k]);
-      if (one.klNote[k]) made.title = `KL ${one.klNote[k]}`;
+      if (one.below[k]) made.title = report.densities.belowZero;
       made.addEventListener("click", () => openTrials([one.trial], name));
       cells.push(made);
     });

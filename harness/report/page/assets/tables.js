@@ -45,7 +45,7 @@ function wholeTable(table) {
   const files = ["md", "csv", "tex"].map((end) => el("a", { href: `${encodeURIComponent(table.name)}.${end}` }, end));
   return el("div", {},
     el("p", { class: "caption" }, table.caption),
-    el("div", { class: "form" }, table.sections.some((s) => s.rows.length > 3) ? filter : null, columns,
+    el("div", { class: "form" }, table.sections.some((s) => s.rows.length > 2) ? filter : null, columns,
       el("span", { class: "files" }, "as ", files.flatMap((one, i) => (i ? [" · ", one] : [one])))),
     body,
     table.constant.length ? el("p", { class: "caption" }, table.constant.join(" ")) : null,

@@ -56,6 +56,8 @@ function drawViewer(top, stage, values) {
   const set = (changes) => { Object.assign(viewer, changes); viewer.redraw(); };
   const cells = report.images.groups.map((one, at) => [at,
     [report.materials[one.material], one.scene >= 0 ? report.scenes[one.scene] : ""].filter(Boolean).join(", ")]);
+  // So that the first of the list can be chosen where the page's choice has no images.
+  if (!group) cells.unshift([-1, "choose one"]);
   const shows = Object.entries(SHOWS).filter(([name]) => (name !== "flip" || report.images.flip)
     && (!["relmse", "flip"].includes(name) || (group && group.reference !== null)))
     .map(([name, about]) => [name, about.label]);
@@ -66,7 +68,7 @@ function drawViewer(top, stage, values) {
       if (viewer.paint) viewer.paint();
     } } });
   refill(top,
-    chooser("image", cells, report.images.groups.indexOf(group), (at) => choose({
+    chooser("image", cells, report.images.groups.indexOf(group), (at) => at >= 0 && choose({
       material: report.images.groups[at].material, scene: report.images.groups[at].scene })),
     switches("layout", [["flip", "flip"], ["side", "side by side"], ["wipe", "wipe"]], viewer.mode, (mode) => set({ mode })),
     switches("shown", shows, viewer.show, (show) => set({ show })),
