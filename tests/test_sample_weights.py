@@ -51,8 +51,8 @@ class Darker:
         return self
 
     def sample_weighted(self, condition, u):
-        weight = self.inner.sample_weighted(condition, u).weight
-        return SimpleNamespace(weight=0.9 * weight)
+        found = self.inner.sample_weighted(condition, u)
+        return found._replace(weight=0.9 * found.weight)
 
 
 def test_cosine_of_a_lambertian_has_no_variance():

@@ -251,6 +251,8 @@ def test_a_plugin_of_ones_own(mi, folder):
     file.write_text(file.read_text() + "\n# a comment\n")
     assert own("Own", folder, level=0.7).identity() == before
     file.write_text(file.read_text().replace("0.9", "0.8"))
+    assert own("Own", folder, level=0.7).identity() == before, "that was another class's"
+    file.write_text(file.read_text().replace('"level", 0.5', '"level", 0.4'))
     assert own("Own", folder, level=0.7).identity() != before
     file.write_text(textwrap.dedent(PLUGINS))
     for name, said in (("Ow", "did you mean 'Own'"), ("dr", "no class 'dr'")):

@@ -46,7 +46,8 @@ def check_plain(data: Any, where: str) -> None:
             for key, inner in value.items():
                 if not isinstance(key, str):
                     said = f"expected a text as key, got {printable(repr(key), '')[:60]}"
-                    raise InputError(f"{where}: {_prefix(path)}{said}; put it between quotes")
+                    hint = "put it between quotes, as any text with commas within { }"
+                    raise InputError(f"{where}: {_prefix(path)}{said}; {hint}")
                 _check_text(key, where, f"{_prefix(path)}a key")
                 todo.append((inner, f"{path}.{key}" if path else key, depth + 1))
         elif isinstance(value, list | tuple):

@@ -22,9 +22,9 @@ BOUNDS: dict[str, tuple[float, float]] = {
     **dict.fromkeys(("reference_spp", "steps"), (1, COUNT)),
     **dict.fromkeys(("grid", "resolution", "side", "size", "slice_resolution"), (1, SIDE)),
     **dict.fromkeys(("batches", "bins", "count", "longest", "repeats", "rounds"), (1, _MANY)),
-    **dict.fromkeys(("processes", "slices", "starts", "views"), (1, _MANY)),
-    # None of them is a number of its own, too: no more than there are, nothing shown.
-    **dict.fromkeys(("max_processes", "max_rounds", "shown"), (0, _MANY)),
+    **dict.fromkeys(("processes", "slices", "views"), (1, _MANY)),
+    # None of them is a number of its own, too: no more than there are, nothing shown or started.
+    **dict.fromkeys(("max_processes", "max_rounds", "shown", "starts"), (0, _MANY)),
     "levels": (1, 64),  # each doubles the one before
     **dict.fromkeys(("deadline", "slice_seconds"), (1e-9, SECONDS)),
     **dict.fromkeys(("least_seconds", "max_seconds", "patience", "power_seconds"), (0, SECONDS)),

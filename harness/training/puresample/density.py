@@ -16,7 +16,7 @@ from harness.training.puresample.profiles import Profile
 class Rows:
     """Batches of particles as the losses of a flow ask for them: one direction a condition.
 
-    They call ``batch(conditions, directions a condition, generator)``.
+    They call ``batch(conditions, generator)``, as of :class:`harness.fitting.drawn.Drawn`.
     """
 
     def __init__(self, network: PureSample, data: Walked, device: str):
@@ -24,7 +24,7 @@ class Rows:
         parts = (data.u, data.wi, data.channel, data.wo)
         self.u, self.wi, self.channel, self.wo = (x.to(device) for x in parts)
 
-    def batch(self, rows: int, _one: int, random: torch.Generator) -> tuple[Tensor, Tensor]:
+    def batch(self, rows: int, random: torch.Generator) -> tuple[Tensor, Tensor]:
         """Conditions [B, C] and directions [B, 1, 2] of ``rows`` particles."""
         index = torch.randint(len(self.wo), (rows,), generator=random).to(self.device)
         features = self.network.features(self.u[index])
