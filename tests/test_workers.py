@@ -157,6 +157,7 @@ def test_bad_adapters_cost_their_own_trials(tmp_path: Path, mark: str) -> None:
     assert os.getcwd() == str(Path.cwd())
 
 
+@pytest.mark.slow
 def test_two_at_a_time_give_the_same_numbers(tmp_path: Path, mark: str) -> None:
     """Fits with states that are drawn, and one that is optimised; fits and measures interleave."""
     changes = {"materials": ["disney", "layered"], "seeds": [0, 1]}
