@@ -169,6 +169,7 @@ def measured(scene: Scene, material: Material, **changed: object) -> tuple[dict,
     return verdicts, values, outcome.images
 
 
+@pytest.mark.slow
 def test_verdicts_of_a_scene_with_a_dark_lamp():
     """Of the effects that it calls for and of those it does not; and what runs for each."""
     scene = hall("environment", "area-lights", dark="area-lights", grey=True)
@@ -190,6 +191,7 @@ def test_verdicts_of_a_scene_with_a_dark_lamp():
     assert values["environment.relmse"] > 0.1 > values["area-lights.relmse"]
 
 
+@pytest.mark.slow
 def test_bounces_that_never_happen_cost_and_change_nothing():
     """A ball alone: the image is the same to the last bit, from the same random numbers."""
     for effects in (("environment", "indirect: 4"), ("environment",)):
@@ -333,6 +335,7 @@ def test_auto_is_part_of_what_determines_a_trial():
     assert offer(scenes.make("studio-sphere")).lights == {"environment"}
 
 
+@pytest.mark.slow
 def test_point_lights_alone():
     """Without light sampling the image is black: needed, and no noise to be lowered."""
     verdicts, values, _ = measured(hall("point-lights", "emitter-sampling", grey=True), grey())
