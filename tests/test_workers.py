@@ -19,6 +19,7 @@ from rich.console import Console
 
 from harness.analysis.results import Results
 from harness.analysis.status import status
+from harness.cli.main import main
 from harness.core.protocol.method import Budget
 from harness.report.tables.status import status as table_of
 from harness.runner import global_state, limits
@@ -155,6 +156,24 @@ def test_bad_adapters_cost_their_own_trials(tmp_path: Path, mark: str) -> None:
     (table,) = (s for s in table_of(Results.load(tmp_path / "bad" / "out")).sections)
     assert [line] == [c.text for r in table.rows for c in r.cells if "default dtype" in c.text]
     assert os.getcwd() == str(Path.cwd())
+
+
+def test_what_torch_does_to_itself_is_no_finding(tmp_path: Path):
+    """It replaces functions of its own when an optimiser first steps; a lobe's fit does that."""
+    suite = {
+        "name": "plain",
+        "materials": ["rim-lobe"],
+        "methods": ["improved-baseline"],
+        "measures": [{"name": "pdf", "conditions": 4, "resolution": 8, "samples": 8}],
+        "budget": {"steps": 2, "conditions": 8, "directions": 8, "resolution": 8, "pool": 16},
+        "report": {"tables": [], "figures": []},
+    }
+    file = tmp_path / "plain.yaml"
+    file.write_text(yaml.safe_dump(suite))
+    assert main(["run", str(file), "--out", str(tmp_path / "out"), "--executor", "local"]) == 0
+    with ResultsFolder(tmp_path / "out") as store:
+        found = store.trials().values()
+        assert len(found) == 2 and not [finding for trial in found for finding in trial.findings]
 
 
 @pytest.mark.slow

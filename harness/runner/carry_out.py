@@ -41,6 +41,7 @@ class Carrier:
     """Does one task after the other, and keeps what they share: materials, scenes, methods."""
 
     def __init__(self, note: Callable[[str], None], resolved: Resolved | None = None):
+        global_state.settle()
         self.note = note
         self.jobs = Jobs("", {}, note, resolved)
         self.prober: Prober | None = None
@@ -69,7 +70,7 @@ class Carrier:
                 self.seen = global_state.look()
             finally:
                 torch.set_num_threads(self.threads)
-            if task.kind != PROBE:  # which loads torch's tracing, that replaces functions of torch
+            if task.kind != PROBE:  # which seeds and traces torch by itself
                 answer.findings = global_state.changes(before, self.seen)
             return answer
 

@@ -57,6 +57,19 @@ class GlobalState:
     names: dict[str, _Names]
 
 
+def settle() -> None:
+    """Let torch change itself, which it does when an optimiser first steps: no method did it.
+
+    The import of its compiler replaces ``torch.manual_seed`` and sets an environment variable, the
+    first step replaces ``Adam.step``. No thread is started.
+    """
+    import torch._dynamo
+
+    parameter = torch.nn.Parameter(torch.zeros(1))
+    parameter.grad = torch.zeros(1)
+    torch.optim.Adam([parameter]).step()
+
+
 def seed_all(seed: int) -> None:
     """Seed the random numbers that anybody may draw from: of torch, numpy and Python."""
     torch.manual_seed(seed)

@@ -11,8 +11,9 @@ def load(device: str) -> None:
     A GPU cannot be handed to a forked process once it is in use: for one, Dr.Jit and Mitsuba are
     left to each worker.
     """
-    import torch  # noqa: F401
+    from harness.runner import global_state
 
+    global_state.settle()
     if device == "cpu":
         from harness.mitsuba_runtime import variant
 
