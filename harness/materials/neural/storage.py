@@ -2,143 +2,17 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
-from pathlib import Path
-from typing import Any
-
-import torch
-from torch import Tensor
-
-from harness.core.protocol.errors import InputError
+from harness.materials.network_files import NetworkFiles
 from harness.materials.neural.architecture import Architecture
 from harness.materials.neural.network import NeuralMBTF
 
 FORMAT = "neural-material 1"
-"""Under ``format`` in the metadata. The number goes up when the same file would mean another f."""
-
-TEXTURES = ("texture", "offset.texture")
-"""What may be stored in half precision: by far the most numbers."""
-
-
-def save(
-    path: Path, network: NeuralMBTF, record: dict[str, Any], half_textures: bool = True
-) -> None:
-    """Write ``network`` with its description, and ``record`` of how it came to be (JSON data).
-
-    Textures are rounded to half precision unless told otherwise; the networks stay single.
-    """
-    from safetensors.torch import save_file
-
-    tensors = {}
-    for key, value in network.state_dict().items():
-        value = value.detach().cpu().contiguous()
-        tensors[key] = value.half() if half_textures and key in TEXTURES else value.clone()
-    metadata = {
-        "format": FORMAT,
-        "architecture": json.dumps(network.architecture.as_dict(), sort_keys=True),
-        "record": json.dumps(record, sort_keys=True),
-    }
-    path.parent.mkdir(parents=True, exist_ok=True)
-    save_file(tensors, path, metadata=metadata)
-
-
-def load(path: Path, where: str = "") -> NeuralMBTF:
-    """The network in ``path``, in single precision on the CPU.
-
-    Raises:
-        InputError: the file is no neural material, or its tensors are not those of its
-            description.
-    """
-    from safetensors import SafetensorError
-    from safetensors.torch import load_file
-
-    where = where or str(path)
-    architecture = Architecture.of(_json(metadata(path, where), "architecture", where), where)
-    try:
-        state = load_file(path)
-    except (OSError, SafetensorError) as error:
-        raise InputError(f"{where}: cannot be read: {error}") from None
-    return filled(architecture, state, where)
-
-
-def filled(architecture: Architecture, state: dict[str, Tensor], where: str) -> NeuralMBTF:
-    """A network of that description with those tensors; refuses what does not fit it."""
-    # Of the shapes alone: what a description says may be larger than any memory.
-    try:
-        if architecture.layers > len(state):
-            raise RuntimeError("more layers than there are tensors")
-        with torch.device("meta"):
-            wanted = NeuralMBTF(architecture).state_dict()
-    except (RuntimeError, OverflowError, TypeError) as error:
-        said = str(error).partition("\n")[0]
-        raise InputError(f"{where}: its description is of no network: {said}") from None
-    for key, value in wanted.items():
-        if key not in state:
-            raise InputError(f"{where}: has no tensor '{key}'; expected it of {list(value.shape)}")
-        if state[key].shape != value.shape:
-            found, needed = list(state[key].shape), list(value.shape)
-            raise InputError(f"{where}: tensor '{key}' is {found}; expected {needed}")
-        if not torch.isfinite(state[key]).all():
-            raise InputError(f"{where}: tensor '{key}' holds a value that is not finite")
-    for key in state:
-        if key not in wanted:
-            raise InputError(f"{where}: tensor '{key}' is none of its description's")
-    with torch.random.fork_rng(devices=[]):
-        network = NeuralMBTF(architecture)
-    network.load_state_dict({key: value.float() for key, value in state.items()})
-    return network.eval()
-
-
-def metadata(path: Path, where: str = "") -> dict[str, str]:
-    """The text stored beside the tensors; nothing else is read."""
-    from safetensors import SafetensorError, safe_open
-
-    where = where or str(path)
-    try:
-        with safe_open(path, framework="pt") as file:
-            found = file.metadata() or {}
-    except FileNotFoundError:
-        raise InputError(f"{where}: no such file: {path.name}") from None
-    except (OSError, SafetensorError) as error:
-        raise InputError(f"{where}: cannot be read: {error}") from None
-    if found.get("format") != FORMAT:
-        raise InputError(
-            f"{where}: format is {found.get('format')!r}; expected {FORMAT!r}, as"
-            " 'harness material train' writes it"
-        )
-    return found
-
-
-def record(path: Path) -> dict[str, Any]:
-    """How the material came to be, as stored by :func:`save`."""
-    return _json(metadata(path), "record", str(path))
-
-
-def reflectance_hash(path: Path, where: str = "") -> str:
-    """SHA-256 of what determines the reflectance: tensors and description, not the record.
-
-    Of the description, what is not the default: a size that is added later, and that a material
-    does not use, leaves its hash alone.
-    """
-    from safetensors import safe_open
-
-    stored, default = _json(metadata(path, where), "architecture", where), Architecture().as_dict()
-    chosen = {key: value for key, value in stored.items() if value != default.get(key)}
-    found = hashlib.sha256(f"{FORMAT} {json.dumps(chosen, sort_keys=True)}".encode())
-    with safe_open(path, framework="pt") as file:
-        for key in sorted(file.keys()):
-            tensor = file.get_tensor(key).contiguous()
-            found.update(f"{key} {list(tensor.shape)} {tensor.dtype}".encode())
-            found.update(tensor.view(torch.uint8).numpy().tobytes())
-    return found.hexdigest()
-
-
-def _json(found: dict[str, str], key: str, where: str) -> dict[str, Any]:
-    try:
-        data = json.loads(found.get(key, ""))
-    except (ValueError, RecursionError):
-        data = None
-    if not isinstance(data, dict):
-        raise InputError(f"{where}: metadata '{key}': expected a JSON mapping")
-    return data
+_FILES = NetworkFiles(
+    FORMAT,
+    Architecture,
+    NeuralMBTF,
+    textures=("texture", "offset.texture"),
+    command="harness material train",
+)
+save, load, filled = _FILES.save, _FILES.load, _FILES.filled
+metadata, record, reflectance_hash = _FILES.metadata, _FILES.record, _FILES.reflectance_hash
