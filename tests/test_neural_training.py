@@ -11,6 +11,7 @@ from harness.materials.neural import storage
 from harness.materials.neural.architecture import Architecture
 from harness.microgeometry import queries
 from harness.training import profiles, quality, recipe
+from harness.training.changes import changed
 from harness.training.profiles import Profile
 from harness.training.training import Data, Training
 
@@ -256,13 +257,13 @@ def test_held_out_is_held_out():
 
 def test_numbers_of_a_training_are_changed_by_name():
     deep = profiles.profile("deep")
-    found = recipe.changed(deep, ["energy_steps=2400", "blur=1", "channels=4"])
+    found = changed(deep, ["energy_steps=2400", "blur=1", "channels=4"])
     assert (found.energy_steps, found.blur, found.architecture.channels) == (2400, 1.0, 4)
-    assert recipe.changed(found, [f"energy_steps={deep.energy_steps}", "channels=8"]) == replace(
+    assert changed(found, [f"energy_steps={deep.energy_steps}", "channels=8"]) == replace(
         deep, blur=1.0, architecture=replace(deep.architecture, channels=8)
     )
     for wrong in ("energy_steps=2.5", "steps=true", "steps=-1", "blur=wide", "steps", "blur=NaN"):
         with pytest.raises(InputError, match=f"--set {wrong}: expected"):
-            recipe.changed(deep, [wrong])
+            changed(deep, [wrong])
     with pytest.raises(InputError, match="did you mean 'channels'"):
-        recipe.changed(deep, ["chanels=4"])
+        changed(deep, ["chanels=4"])

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, fields, replace
@@ -18,6 +17,7 @@ from harness.materials.neural.architecture import Architecture
 from harness.microgeometry import descriptions, queries
 from harness.microgeometry.description import read
 from harness.training import energy, parallax
+from harness.training.changes import changed
 from harness.training.profiles import Profile
 from harness.training.profiles import profile as find_profile
 from harness.training.quality import Held, footprints
@@ -207,29 +207,6 @@ def _energies(training: Training, surface: Any, data: Data, steps: int, notify: 
         training, known, data, steps, seed + _DIRECTIONS, lambda share: notify("energies", share)
     )
     return seconds
-
-
-def changed(profile: Profile, changes: Sequence[str]) -> Profile:
-    """The profile with numbers of its own or sizes of its network replaced, as ``KEY=VALUE``."""
-    sizes, own = profile.architecture.as_dict(), {}
-    numbers = {key for key, value in vars(profile).items() if isinstance(value, int | float)}
-    for change in changes:
-        key, equals, text = change.partition("=")
-        if not equals:
-            raise InputError(f"--set {change}: expected KEY=VALUE")
-        try:
-            value = json.loads(text)
-        except ValueError:
-            value = text
-        if key not in numbers:
-            sizes[key] = value
-            continue
-        kind = type(getattr(profile, key))
-        right = isinstance(value, kind | int) and not isinstance(value, bool)
-        if not right or not 0 <= value < math.inf:
-            raise InputError(f"--set {change}: expected {kind.__name__} of at least 0")
-        own[key] = kind(value)
-    return replace(profile, architecture=Architecture.of(sizes, "--set"), **own)
 
 
 def _data(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, replace
@@ -16,8 +15,8 @@ import torch
 from harness.core import machine
 from harness.core.protocol.errors import InputError
 from harness.materials.puresample import storage
-from harness.materials.puresample.architecture import Architecture
 from harness.materials.puresample.network import PureSample
+from harness.training.changes import changed
 from harness.training.puresample import albedo, data, density, sources
 from harness.training.puresample.profiles import Profile
 from harness.training.puresample.profiles import profile as find_profile
@@ -47,7 +46,7 @@ def train(
     """
     if out.suffix != ".safetensors":
         raise InputError(f"--out {out}: expected a name that ends in .safetensors")
-    chosen = changed(find_profile(profile), changes)
+    chosen = checked(changed(find_profile(profile), changes))
     source = sources.load(description)
     if source.grey:
         chosen = replace(chosen, architecture=replace(chosen.architecture, grey=True))
@@ -135,31 +134,10 @@ def _store(
     return record
 
 
-def changed(profile: Profile, changes: Sequence[str]) -> Profile:
-    """The profile with numbers of its own or sizes of its networks replaced, as ``KEY=VALUE``."""
-    sizes, own = profile.architecture.as_dict(), {}
-    numbers = {k: v for k, v in vars(profile).items() if isinstance(v, int | float | str)}
-    for change in changes:
-        key, equals, text = change.partition("=")
-        if not equals:
-            raise InputError(f"--set {change}: expected KEY=VALUE")
-        try:
-            value = json.loads(text)
-        except ValueError:
-            value = text
-        if key not in numbers:
-            sizes[key] = value
-            continue
-        kind = type(numbers[key])
-        right = isinstance(value, kind) or (kind is float and type(value) is int)
-        if not right or isinstance(value, bool):
-            raise InputError(f"--set {change}: expected {kind.__name__}")
-        if kind is not str and not 0 <= value < math.inf:
-            raise InputError(f"--set {change}: expected a finite number of at least 0")
-        own[key] = kind(value)
-    found = replace(profile, architecture=Architecture.of(sizes, "--set"), **own)
-    albedo.loss_of(found.albedo_loss, torch.zeros(1, 3), torch.zeros(1, 3))  # a name it knows
-    least = min(found.walks, found.directions, found.albedo_batch, found.matching_batch)
-    if least < 1 or found.group < 2:
+def checked(profile: Profile) -> Profile:
+    """``profile``, if a training can be done with its numbers."""
+    albedo.loss_of(profile.albedo_loss, torch.zeros(1, 3), torch.zeros(1, 3))  # a name it knows
+    least = min(profile.walks, profile.directions, profile.albedo_batch, profile.matching_batch)
+    if least < 1 or profile.group < 2:
         raise InputError("--set: expected at least one walk, direction and row, and groups of two")
-    return found
+    return profile
