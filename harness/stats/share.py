@@ -18,6 +18,10 @@ from scipy.special import betaincinv, ndtri, stdtrit
 
 from harness.stats.intervals import Interval
 
+_NORMAL = 1e8
+"""With so many answers of either kind the Beta distribution is normal to 1e-4 of its width, and its
+quantiles, within 1e-4 of the mean, are Student's; scipy's inverse has too few digits for them."""
+
 
 def mean_share(x: ArrayLike, level: float = 0.95) -> Interval:
     """Mean of independent shares [n] in [0, 1]; where all are the same that is both ends.
@@ -28,12 +32,16 @@ def mean_share(x: ArrayLike, level: float = 0.95) -> Interval:
     x = np.asarray(x, float).ravel()
     if not len(x) or not ((x >= 0) & (x <= 1)).all():
         raise ValueError(f"expected shares between 0 and 1, got {x}")
-    mean = float(x.mean())
-    error = float(x.std(ddof=1) / np.sqrt(len(x))) if len(x) > 1 else 0.0
-    if error == 0:
+    if x.min() == x.max():
+        return Interval(float(x[0]), float(x[0]), float(x[0]))
+    mean, error = float(x.mean()), float(x.std(ddof=1) / np.sqrt(len(x)))
+    if error**2 == 0:  # shares of 0 and of less than 1e-154: their spread is below what floats hold
         return Interval(mean, mean, mean)
     upper = (1 + level) / 2
-    answers = mean * (1 - mean) / error**2 * float(ndtri(upper) / stdtrit(len(x) - 1, upper)) ** 2
+    quantile = float(stdtrit(len(x) - 1, upper))
+    answers = mean * (1 - mean) / error**2 * (float(ndtri(upper)) / quantile) ** 2
     yes, no = answers * mean + 0.5, answers * (1 - mean) + 0.5
+    if min(yes, no) > _NORMAL:
+        return Interval(mean, mean - quantile * error, mean + quantile * error)
     low, high = (float(betaincinv(yes, no, q)) for q in (1 - upper, upper))
     return Interval(mean, low, high)
