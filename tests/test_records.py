@@ -178,6 +178,16 @@ def test_a_fit_of_which_the_records_were_kept_gives_them_again() -> None:
     assert {r.metric: r.value for r in found} == values
 
 
+@pytest.mark.parametrize(("elapsed", "waited"), [(5.2, 0.0), (6.1, 1.0)])
+def test_a_fit_that_waited_for_a_processor_is_disturbed(elapsed: float, waited: float) -> None:
+    arrays = fit.raw_of({"fit-seconds": elapsed, "optimise-seconds": elapsed})
+    arrays |= {"elapsed_seconds": np.array(elapsed), "cpu_seconds": np.array(5.0)}
+    found = fit.numbers(Raw(arrays))
+    values = {r.metric: r.value for r in found.records}
+    assert values["cpu-seconds"] == 5.0 and values["disturbed"] == waited
+    assert found.reason == ("disturbed: of 6.1 s the fit had a processor for 5 s" if waited else "")
+
+
 @pytest.mark.parametrize("n", [16, 17, 50])
 def test_slices_are_compared_on_the_disk(n: int) -> None:
     axis = (np.arange(n) + 0.5) * 2 / n - 1

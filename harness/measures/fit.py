@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 
 import numpy as np
@@ -28,6 +29,8 @@ class Fit(Measure):
     memory to the first sample of a new method, so that a compilation counts here and never in
     a steady-state figure. ``steps``: of a fit that was limited by time or went on until it was
     converged; then ``kl-moved`` is the last relative change of KL when the steps were doubled.
+    ``cpu-seconds``, on a CPU, is the processor time of all threads in ``method.fit``; a fit that
+    had to wait for a processor took longer than it would alone, and is marked as disturbed.
     """
 
     name = "fit"
@@ -43,12 +46,12 @@ class Fit(Measure):
         supported, reason = method.supports(material)
         if not supported:
             raise Unsupported(reason or f"{method.name} does not support {material.name}")
-        start = now(device)
+        start, worked = now(device), time.process_time()
         if job.budget.until is None:
             report = method.fit(material, job.budget, job.generator)
         else:
             method, report = fit_until(job.make, material, job.budget, job.generator)
-        elapsed = now(device) - start
+        elapsed, worked = now(device) - start, time.process_time() - worked
         if not isinstance(report, FitReport):
             kind = type(report).__name__
             raise BadAdapter(f"{method.name}: fit returned a {kind}, expected a FitReport")
@@ -72,6 +75,8 @@ class Fit(Measure):
             "parameters": report.parameters,
             "size_bytes": method.size_bytes(),
         }
+        if device == "cpu":
+            found |= {"elapsed_seconds": elapsed, "cpu_seconds": worked}
         arrays = {name: np.array(float(value)) for name, value in found.items()}
         for name, values in (("loss", report.loss), ("part_seconds", report.part_seconds)):
             if values:

@@ -8,6 +8,7 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
+from harness.analysis.process_pooling import DISTURBED
 from harness.core.record import Numbers, Raw, Record
 from harness.stats.intervals import Interval, mean_interval
 
@@ -15,6 +16,11 @@ _SINGLE = (
     "fit-seconds data-seconds optimise-seconds bake-seconds load-seconds parameters size-bytes"
 ).split()
 """Metrics that are a single stored number each."""
+_BUSY = 1.1
+"""A fit, whose one thread never sleeps, that took this many times its processor time had to wait
+for a processor: the machine was busy."""
+_START = 0.05
+"""Seconds in which a fit may wait for a file or a first kernel."""
 
 
 def numbers(raw: Raw) -> Numbers:
@@ -37,7 +43,16 @@ def numbers(raw: Raw) -> Numbers:
         records.append(Record("kl-moved", float(abs(before - last) / abs(last)), unit="1"))
     if "loss" in raw.arrays:
         records.append(Record("final-loss", float(raw.arrays["loss"][-1]), unit="1"))
-    return Numbers(records)
+    if "cpu_seconds" not in raw.arrays:
+        return Numbers(records)
+    elapsed, worked = raw.value("elapsed_seconds"), raw.value("cpu_seconds")
+    waited = elapsed > _BUSY * worked + _START
+    records += [
+        Record("cpu-seconds", worked, unit="s"),
+        Record(DISTURBED, float(waited), unit="1"),
+    ]
+    said = f"disturbed: of {elapsed:.3g} s the fit had a processor for {worked:.3g} s"
+    return Numbers(records, said if waited else "")
 
 
 def raw_of(values: Mapping[str, float]) -> dict[str, NDArray]:

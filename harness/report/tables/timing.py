@@ -8,6 +8,7 @@ from statistics import median
 from harness.analysis import numbers
 from harness.analysis.combine import Estimate, geometric_mean
 from harness.analysis.marks import disturbed
+from harness.analysis.process_pooling import DISTURBED
 from harness.analysis.quantities import nanoseconds_per_sample, scaled
 from harness.analysis.results import MethodColumn, Results
 from harness.report.table import Cell, Row, Section, Table
@@ -101,7 +102,17 @@ def _fit_cell(
     if not known:
         return Cell(missing=str(found[0]), ceiling=method.ceiling)
     value = median(known)
-    return Cell(value, text=said(value), ceiling=method.ceiling)
+    waited = (
+        []
+        if metric != "fit-seconds"
+        else [
+            material
+            for material in results.materials
+            if disturbed(results, ["fit"], material, method.label)
+        ]
+    )
+    warning = f"{DISTURBED}: waited for a processor on {', '.join(waited)}" if waited else ""
+    return Cell(value, text=said(value), warning=warning, ceiling=method.ceiling)
 
 
 def _resolution(results: Results, trial: str) -> str:
