@@ -57,7 +57,8 @@ def _contests(tables: list[Table], scenes: list[str]) -> list[Contest]:
         sections = [s for s in by_name[name].sections if s.title in ("", *scenes)]
         if name == "pdf":
             sections = by_name[name].sections
-        found = [c for section in sections if (c := _contest(by_name[name], section)).ranked[1:]]
+        contests = (_contest(by_name[name], section) for section in sections if section.rows)
+        found = [contest for contest in contests if contest.ranked[1:]]
         if found:
             return found if name != "pdf" else found[:1]
     return []
@@ -65,7 +66,7 @@ def _contests(tables: list[Table], scenes: list[str]) -> list[Contest]:
 
 def _contest(table: Table, section: Section) -> Contest:
     means = [row for row in section.rows if row.summary] or section.rows[:1]
-    return Contest(table, section, means[-1] if means else Row("", []))
+    return Contest(table, section, means[-1])
 
 
 def _which(results: Results, contests: list[Contest]) -> str:
