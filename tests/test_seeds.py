@@ -53,6 +53,26 @@ def test_a_fit_is_planned_once_and_measured_with_every_seed(tmp_path: Path):
     assert {t.hash for t in plain.trials} <= {t.hash for t in plan.trials}
 
 
+def test_what_does_not_depend_on_the_fit_is_measured_with_the_first(tmp_path: Path):
+    methods = ["adapters.py:Good", {"name": "adapters.py:Named", "first_fit_only": True}]
+    measures = ["probe", {"name": "clock", "first_fit_only": True}]
+    changes = {"methods": methods, "measures": measures}
+    plan = make_plan(load(fakes.suite(tmp_path, training_seeds=[2, 3], **changes)))
+    of_material = [t for t in plan.trials if t.material == "fake-a"]
+    good, named = plan.labels("method")
+    assert {(t.method, t.measure, t.seed) for t in of_material} == {
+        *((label, "fit", 2) for label in (good, named)),
+        *((label, measure, 2000) for label in (good, named) for measure in ("probe", "clock")),
+        (good, "fit", 3),
+        (good, "probe", 3000),
+    }
+    whole = make_plan(load(fakes.suite(tmp_path / "whole", training_seeds=[2, 3])))
+    assert {t.hash for t in plan.trials} < {t.hash for t in whole.trials}
+    methods = [{"name": "adapters.py:Good", "label": "Good", "first_fit_only": True}, methods[1]]
+    with pytest.raises(InputError, match="baseline: 'Good' has first_fit_only"):
+        load(fakes.suite(tmp_path, methods=methods))
+
+
 def test_a_profile_has_its_own(tmp_path: Path):
     """And a seed that stands twice is refused, with its place."""
     quick = {"training_seeds": [4]}

@@ -7,7 +7,7 @@ from dataclasses import replace
 from harness.core.protocol.errors import InputError, nearest
 from harness.suite.load import Loaded
 from harness.suite.plan import DEFAULT_BASELINE
-from harness.suite.schema import NamedSpec, ReportSpec
+from harness.suite.schema import MeasureSpec, ReportSpec
 
 MEASURE = "effects"
 
@@ -25,7 +25,7 @@ def effects_only(loaded: Loaded, method: str | None) -> Loaded:
     chosen = method or suite.baseline or usual
     if chosen not in labels:
         raise InputError(f"--method {chosen}: no method of {loaded.path}{nearest(chosen, labels)}")
-    measures = [m for m in suite.measures if m.name == MEASURE] or [NamedSpec(name=MEASURE)]
+    measures = [m for m in suite.measures if m.name == MEASURE] or [MeasureSpec(name=MEASURE)]
     profiles = {
         name: p.model_copy(
             update={

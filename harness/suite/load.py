@@ -251,6 +251,12 @@ def _check_references(suite: Suite) -> None:
             _known(where, method.measures, labels["measures"], "measure of this suite")
     if suite.baseline is not None:
         _known("baseline", [suite.baseline], labels["methods"], "method of this suite")
+        chosen = suite.methods[labels["methods"].index(suite.baseline)]
+        if chosen.first_fit_only:
+            raise InputError(
+                f"baseline: '{suite.baseline}' has first_fit_only; expected a method without,"
+                " since fits of all training seeds are compared with it"
+            )
     for name, profile in suite.profiles.items():
         for key in ("materials", "methods", "scenes"):
             chosen = getattr(profile, key)

@@ -117,7 +117,7 @@ def _baseline(suite: Suite, profile: Profile) -> str:
     """The method that all others are compared with: as written, or the usual, or the first."""
     chosen = _chosen(suite.methods, profile.methods)
     # What others are compared with is needed wherever they are measured.
-    whole = [m.label for m in chosen if m.measures is None]
+    whole = [m.label for m in chosen if m.measures is None and not m.first_fit_only]
     if suite.baseline is None:
         if not whole:
             raise InputError(
@@ -154,6 +154,7 @@ class _Expansion:
         self.suite, self.profile, self.profile_name = suite, profile, profile_name
         self.device, self.on = device, on
         self.settings = self._settings()
+        self.of_first_fits = {m.name for m in suite.measures if m.first_fit_only}
         self.kinds = {name: measures.load(name) for name in self.settings}
         _each("methods", suite.methods, lambda m: registry.find(m.name))
         self.materials = _each("materials", suite.materials, lambda m: materials.identity(_spec(m)))
@@ -189,16 +190,22 @@ class _Expansion:
             raise InputError(f"asks for {count:,} trials; expected at most {TRIALS:,}")
         for material in chosen:
             for training, seed in pairs:
+                first = training == pairs[0][0]
                 for method in self.methods:
+                    if method.first_fit_only and not first:
+                        continue
                     # Of several seeds measured with one fit, that is planned once.
-                    for trial in self._of_method(material, training, seed, method):
+                    for trial in self._of_method(material, training, seed, method, first):
                         found.setdefault(f"{trial.hash} {trial.method}", trial)
         return list(found.values())
 
     def _of_method(
-        self, material: NamedSpec, training: int, seed: int, method: MethodSpec
+        self, material: NamedSpec, training: int, seed: int, method: MethodSpec, first: bool
     ) -> list[Trial]:
-        """The fit of one method to one material, and all that is measured with it."""
+        """The fit of one method to one material, and all that is measured with it.
+
+        ``first``: whether it is of the first training seed, the only one for some measures.
+        """
         blank = Trial(
             hash="",
             identity={
@@ -221,6 +228,8 @@ class _Expansion:
         found = [fit]
         for name in self.settings:
             if name == FIT or (method.measures is not None and name not in method.measures):
+                continue
+            if name in self.of_first_fits and not first:
                 continue
             identity = blank.identity | {"seed": seed}
             if seed != training:

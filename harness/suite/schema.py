@@ -46,12 +46,14 @@ class MethodSpec(Override):
 
     ``measures`` are those that are taken of it, by default all of the suite's. ``sweep`` makes
     several of it (:mod:`harness.suite.sweep`): values by knob, or ``knobs`` for all that the
-    adapter declares.
+    adapter declares. ``first_fit_only`` measures it with the first training seed alone: it has
+    nothing to fit, so that another seed says nothing more.
     """
 
     name: str
     label: Name = ""
     measures: Some[str] | None = None
+    first_fit_only: bool = False
     sweep: Any = None  # checked there, where the message can name the knobs
 
     _swept_from: str = PrivateAttr("")
@@ -82,6 +84,12 @@ class NamedSpec(BaseModel):
     def rest(self) -> dict[str, Any]:
         """All entries but the name."""
         return dict(self.model_extra or {})
+
+
+class MeasureSpec(NamedSpec):
+    """A measure; with ``first_fit_only`` of the fits of the first training seed alone."""
+
+    first_fit_only: bool = False
 
 
 class ReportSpec(Strict):
@@ -118,7 +126,7 @@ class Suite(Strict):
     materials: Some[NamedSpec]
     methods: Some[MethodSpec]
     scenes: list[NamedSpec] = []
-    measures: Some[NamedSpec]
+    measures: Some[MeasureSpec]
     seeds: Some[Seed] = [0]
     training_seeds: Some[Seed] | None = None
     baseline: str | None = None

@@ -9,7 +9,8 @@ KEYS = {
         "materials": "a name, or a mapping (own-scenes.md): `type`, and what that type takes",
         "methods": "a name, `file.py:Class`, or a mapping with the keys below",
         "scenes": "a name or a mapping (own-scenes.md); needed by measures that render",
-        "measures": "a name, or a mapping with the settings below",
+        "measures": "a name, or a mapping with the settings below; `first_fit_only: true` takes it"
+        " with the first training seed alone",
         "seeds": "of fits, samples and renders; every trial once for each",
         "training_seeds": "of fits alone; `seeds` are then of what is measured with each of them",
         "baseline": "label of the method that times and speed-ups are relative to; by default"
@@ -28,6 +29,7 @@ KEYS = {
         "params": "keyword arguments of its constructor",
         "budget": "of its fits, before that of the suite",
         "measures": "only these, of the suite's",
+        "first_fit_only": "true: with the first training seed alone, for what is not fitted",
         "sweep": "`knobs`, or lists of values by knob: one variant more for each value",
     },
     "BudgetSpec": {
