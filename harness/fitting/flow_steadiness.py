@@ -10,6 +10,7 @@ import torch
 from harness.core.protocol.disk import inside_disk
 from harness.core.protocol.material import Material
 from harness.fitting.steady import ROWS, STEADY, UNIT
+from harness.nets import domains
 from harness.nets.conditional_flow import ConditionalFlow
 from harness.nets.discrete_flow import DiscreteFlow, solve
 
@@ -31,7 +32,9 @@ def steadiness(net: ConditionalFlow, flow: DiscreteFlow, material: Material) -> 
     A fold has samples on its back: a step is proper, so where it covers a place twice, one of the
     origins has a negative determinant, and the share of samples there says how much is folded. The
     movement is what the map's inverse Jacobian makes of the rounding, in deviations of the base,
-    and may be no more than ``STEADY``.
+    and may be no more than ``STEADY``. Where the domain itself moves by that much, within a
+    millionth of the rim of ``plane``, no state can be followed, not even the Lambertian lobe: such
+    samples do not count.
     """
     net = copy.deepcopy(net).double()
     flow = DiscreteFlow(net.velocity, flow.steps, flow.solver)
@@ -44,10 +47,13 @@ def steadiness(net: ConditionalFlow, flow: DiscreteFlow, material: Material) -> 
     folded = ~broken & (reached.least <= 0)[:, 0]
     wo = net.direction(at, reached.x)
     narrowest = torch.exp(at.base.log_sigma[:, -1:].amin(-1))
-    moved = torch.zeros_like(folded)
+    moved, counts = torch.zeros_like(folded), inside_disk(wo[:, 0])
+    own, _ = domains.from_disk(net.domain, wo)
     for step in UNIT * torch.eye(2, dtype=wo.dtype, device=device):
         away = net.place(at, wo + step)[0] - reached.x
         back = solve(reached.jacobian, away).abs().amax(-1) / narrowest
         moved |= (back > STEADY)[:, 0]
-    moved &= inside_disk(wo[:, 0])
+        of_domain = (domains.from_disk(net.domain, wo + step)[0] - own).abs().amax(-1)
+        counts &= (of_domain <= STEADY)[:, 0]
+    moved &= counts
     return Steadiness(*(float(share.double().mean()) for share in (broken, folded, moved)))
