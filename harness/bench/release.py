@@ -1,0 +1,110 @@
+"""``python -m harness.bench.release FOLDER``: samplers beside those of NeuSample's authors.
+
+``FOLDER`` is a clone of their public code, ``bing-xu-graphics/neusample_release`` on GitHub. One
+line a sampler: million samples (each with its density) and million densities a second, ours and
+theirs, and the ratio of both together. Networks have the same widths and random weights; ours also
+see to what theirs leave out (a uniform share, the density of the rounded sample). Rounds are
+interleaved and ratios are medians over them. On a CPU one thread and the processor's clock, which
+other work on the machine lengthens less than that of the wall.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from collections.abc import Callable
+from importlib import import_module
+from pathlib import Path
+
+import drjit as dr
+import numpy as np
+import torch
+
+from harness.core import registry
+from harness.core.compiled import library
+from harness.core.protocol.method import Budget
+from harness.materials import registry as materials
+from harness.mitsuba_runtime import variant
+
+MODELS = {
+    "improved-baseline": ("model.gmm", "BaseLine", {}),
+    "two-lobe": ("model.gmm", "GMM", {}),
+    "neural-spline-flow": ("model.nsf", "NSF_prior", {}),
+}
+"""By our name: their module, its class, and the parameters of ours."""
+FEATURES = 8
+Works = dict[str, Callable[[], object]]
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("folder", type=Path, help="a clone of their code")
+    parser.add_argument("--material", default="leather", help="whose conditions ours see")
+    parser.add_argument("--rows", type=int, default=1 << 18)
+    parser.add_argument("--rounds", type=int, default=15)
+    parser.add_argument("--device", choices=("cpu", "cuda"), default="cpu")
+    options = parser.parse_args()
+    where = options.folder / "neusample" / "histogram"
+    if not (where / "model").is_dir():
+        parser.error(f"{options.folder}: expected a clone of their code; there is no {where}/model")
+    sys.path.insert(0, str(where))
+    variant.use(options.device)
+    if options.device == "cpu":
+        torch.set_num_threads(1)
+        dr.set_thread_count(1)
+    print(f"{options.rows:,} rows on {options.device}; compiled kernels: {library.name()}")
+    head = ("ours", "theirs", "ours, pdf", "theirs, pdf", "ratio")
+    print(f"{'':20}" + "".join(f"{word:>13}" for word in head))
+    for name in MODELS:
+        works = _works(name, options)
+        seconds = _interleaved(works, options.rounds, options.device)
+        rates = {work: np.median(options.rows / each / 1e6) for work, each in seconds.items()}
+        theirs, ours = (seconds[who] + seconds[f"{who}, pdf"] for who in ("theirs", "ours"))
+        line = "".join(f"{rates[word]:13.2f}" for word in head[:-1])
+        print(f"{name:20}{line}{np.median(theirs / ours):13.2f}", flush=True)
+
+
+def _works(name: str, options: argparse.Namespace) -> Works:
+    device, rows = options.device, options.rows
+    module, model, params = MODELS[name]
+    generator = torch.Generator().manual_seed(0)
+    release = getattr(import_module(module), model)().to(device)
+    material = materials.make(options.material)
+    method = registry.make(name, **params)
+    method.fit(material, Budget(steps=1, pool=64, device=device), generator)
+    condition = material.conditions(rows, generator, device)
+    u = torch.rand(rows, 3, generator=generator).to(device)
+    wo = 1.2 * torch.rand(rows, 2, generator=generator).to(device) - 0.6
+    seen = torch.cat([torch.rand(rows, FEATURES).to(device), condition[:, -2:]], 1)
+    # Theirs writes into what it is given.
+    return {
+        "ours": lambda: method.sample(condition, u),
+        "theirs": lambda: release(u.clone(), seen, inverse=True),
+        "ours, pdf": lambda: method.pdf(condition, wo),
+        "theirs, pdf": lambda: release(wo.clone(), seen),
+    }
+
+
+@torch.inference_mode()
+def _interleaved(works: Works, rounds: int, device: str) -> dict[str, np.ndarray]:
+    """Seconds [rounds] of each, after two that compile."""
+    times: dict[str, list[float]] = {name: [] for name in works}
+    for _ in range(rounds + 2):
+        for name, work in works.items():
+            start = _clock(device)
+            work()
+            times[name].append(_clock(device) - start)
+    return {name: np.array(values[2:]) for name, values in times.items()}
+
+
+def _clock(device: str) -> float:
+    if device == "cpu":
+        return time.process_time()
+    torch.cuda.synchronize()
+    return time.perf_counter()
+
+
+if __name__ == "__main__":
+    main()
