@@ -89,7 +89,7 @@ fit fit-seconds s | of the whole fit
 fit data-seconds s | of tabulating targets
 fit optimise-seconds s | of the optimisation
 fit bake-seconds s | of turning what was fitted into tables
-fit cpu-seconds s | of processor time, all threads, in the whole fit (on a CPU)
+fit cpu-seconds s | of processor time in the whole fit, all threads and child processes (on a CPU)
 fit disturbed 1 | 1 where the fit took over 1.1 times its processor time: the machine was busy
 fit load-seconds s | from the state in memory to the first sample of a new method
 fit parameters 1 | numbers that were fitted
