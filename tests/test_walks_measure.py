@@ -107,7 +107,7 @@ def test_other_materials_have_no_walks():
         walks.source_of(Plain())
     lost = matt(0.5, 0.5, 0.5)
     lost.record = {"name": "no-such", "description": {}}
-    with pytest.raises(Unsupported, match="no description 'no-such'"):
+    with pytest.raises(Unsupported, match="no such description: no-such"):
         walks.source_of(lost)
     lost.record = {"name": "clay-beads", "description": {}}
     with pytest.raises(Unsupported, match="has changed"):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Callable
 from typing import Any
@@ -16,7 +15,7 @@ from harness.materials.puresample.material import PureSampleMaterial
 from harness.measures.base import Job, Measure, Outcome
 from harness.measures.base import Settings as BaseSettings
 from harness.measures.compact import single
-from harness.microgeometry.walks import surfaces
+from harness.training.puresample import sources
 
 CELLS = 12
 """A side of the grid of cells of equal area in which f is compared."""
@@ -148,10 +147,6 @@ def source_of(material: Any) -> Any:
         raise Unsupported(f"material '{material.name}' has no record of walks")
     name = material.record["name"]
     try:
-        surface = surfaces.load(name)
-    except InputError:
-        message = f"material '{material.name}': there is no description '{name}' any more"
-        raise Unsupported(message) from None
-    if json.loads(json.dumps(surface.identity())) != material.record["description"]:
-        raise Unsupported(f"material '{material.name}': description '{name}' has changed since")
-    return surface
+        return sources.of_record(material.record)
+    except InputError as error:
+        raise Unsupported(f"material '{material.name}', learned from '{name}': {error}") from None

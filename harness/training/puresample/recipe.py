@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, replace
@@ -105,9 +104,12 @@ def measure(file: Path, seed: int = 0, device: str = "cpu") -> dict[str, Any]:
         InputError: its description is not there, or is another now.
     """
     record = storage.record(file)
-    source = sources.load(record.get("name", ""))
-    if json.loads(json.dumps(source.identity())) != record.get("description"):
-        raise InputError(f"{file}: was trained on another '{record['name']}' than there is now")
+    if not {"name", "description"} <= set(record):
+        raise InputError(f"{file}: has no record of what it was learned from")
+    try:
+        source = sources.of_record(record)
+    except InputError as error:
+        raise InputError(f"{file}: {error}") from None
     network = storage.load(file)
     held = Held.draw(source, seed, network.architecture.textured, device=device)
     record["quality"] = held.measure(network).as_dict()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -16,6 +17,7 @@ from harness.materials import registry
 from harness.materials.families.walks import WalkFamily
 from harness.microgeometry import descriptions
 from harness.microgeometry.walks import surfaces
+from harness.microgeometry.walks.description import parse
 from harness.microgeometry.walks.kernel import Counts, Exits
 
 
@@ -77,9 +79,35 @@ def load(name: str | Path) -> Any:
     about = str(data.get("about", ""))
     spec = {key: value for key, value in data.items() if key != "about"}
     try:
-        material = registry.make({"type": "family", **spec})
-        if not isinstance(material, WalkFamily):
-            raise InputError(f"family '{spec['family']}' has no random walk")
-        return FamilyWalks(material, about)
+        return _family(spec, about)
     except InputError as error:
         raise InputError(f"{file}: {error}") from None
+
+
+def _family(spec: Mapping[str, Any], about: str) -> FamilyWalks:
+    material = registry.make({"type": "family", **spec})
+    if not isinstance(material, WalkFamily):
+        raise InputError(f"family '{spec['family']}' has no random walk")
+    return FamilyWalks(material, about)
+
+
+def of_record(record: Mapping[str, Any]) -> Any:
+    """The source that a material was learned from, as its record describes it.
+
+    Beds, facet fields and families are made of the record alone; a relief is found by its name.
+
+    Raises:
+        InputError: it cannot be found, or is another now.
+    """
+    name, known = str(record["name"]), record["description"]
+    about = str(record.get("about", ""))
+    if "family" in known:
+        spec = {key: value for key, value in known.items() if key != "type"}
+        source = _family({"name": name, **spec}, about)
+    elif "description" in known:
+        source = parse({"name": name, "about": about, **known["description"]})
+    else:
+        source = surfaces.load(name)
+    if json.loads(json.dumps(source.identity())) != known:
+        raise InputError(f"description '{name}' has changed since")
+    return source
