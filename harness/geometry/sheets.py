@@ -23,9 +23,9 @@ def tiled_sheet(
     """``tiles``^2 squares of ``cells``^2 cells each, of width two together, that face +z.
 
     ``bend`` degrees, towards the viewer in the middle, are spread over the edges between columns of
-    tiles; each tile stays a flat square, so that what is laid on it is not stretched. Then the sheet
-    leans back by ``tilt`` degrees about x and turns by ``turn`` about y. ``u`` grows along +x and
-    ``v`` along +y, by one a tile. Faces are flat: ``normals`` is None.
+    tiles; each tile stays a flat square, so that what is laid on it is not stretched. Then the
+    sheet leans back by ``tilt`` degrees about x and turns by ``turn`` about y. ``u`` grows along +x
+    and ``v`` along +y, by one a tile. Faces are flat: ``normals`` is None.
     """
     angle = np.deg2rad(bend) * ((np.arange(tiles) + 0.5) / tiles - 0.5)
     width = 2 / tiles

@@ -34,8 +34,8 @@ class WalkSlices(Measure):
 
     All in the plane of ``azimuth``. ``walks`` particles a channel and angle are counted in cells of
     48^2; the material's f is evaluated at ``side``^2 points of each. Where it varies over its
-    surface all is the mean over ``places`` places, the walks' starts among them. The method plays no
-    part. ``kl-0``, ... are of the particles' directions to the learned density, the mean over
+    surface all is the mean over ``places`` places, the walks' starts among them. The method plays
+    no part. ``kl-0``, ... are of the particles' directions to the learned density, the mean over
     channels, with what counts add by chance taken off.
     """
 

@@ -60,7 +60,8 @@ def walk_slices(results: Results, canvas: Canvas) -> list[Drawn] | str:
                 "particles walking through the microgeometry, counted in 48 x 48 cells of equal "
                 "area, and of the material learned from walks; log(1 + f), a pair equally bright. "
                 "KL: of the particles' directions to the learned density, what counts add by "
-                "chance taken off. Latent texture: its three directions of most variance as colours.",
+                "chance taken off. Latent texture: its three directions of most variance, as "
+                "colours.",
                 vector=False,
             )
         ]
