@@ -15,7 +15,7 @@ from harness.materials.puresample.material import PureSampleMaterial
 from harness.measures.base import Job, Measure, Outcome
 from harness.measures.base import Settings as BaseSettings
 from harness.measures.compact import single
-from harness.measures.walks import conditions, source_of
+from harness.measures.walks import albedo_of, conditions, source_of
 from harness.training.puresample.preview import latent
 
 CELLS = 48
@@ -70,7 +70,7 @@ class WalkSlices(Measure):
             count.append(counted(source, at, starts, settings.walks, job.seed + 1000 * i, random))
             rows = conditions(material, at, places)
             mass.append(evaluated(material, rows, settings.side))
-            learned.append(material.albedo(rows).double().mean(0).numpy())
+            learned.append(albedo_of(material, rows, mass[-1]))
         arrays = {
             "wi": single(wi.numpy()),
             "walks": np.array(settings.walks),

@@ -19,6 +19,8 @@ from harness.microgeometry import descriptions
 from harness.microgeometry.walks import surfaces
 from harness.microgeometry.walks.description import parse
 from harness.microgeometry.walks.kernel import Counts, Exits
+from harness.microgeometry.walks.surface import WALKED
+from harness.training.puresample.normal_mapped import KEYS, NormalMapped
 
 
 class FamilyWalks:
@@ -68,6 +70,8 @@ def load(name: str | Path) -> Any:
         about: "rough varnish over a matt base"
         family: layered
         fix: {eta: 1.5, alpha: 0.1, ...}
+        fields: {dents: ...}                   # with a normal map, as a relief's micro normals
+        micro: {field: dents, depth: 0.02}
 
     Raises:
         InputError: one line that names the file and what was expected.
@@ -84,17 +88,21 @@ def load(name: str | Path) -> Any:
         raise InputError(f"{file}: {error}") from None
 
 
-def _family(spec: Mapping[str, Any], about: str) -> FamilyWalks:
-    material = registry.make({"type": "family", **spec})
+def _family(spec: Mapping[str, Any], about: str) -> FamilyWalks | NormalMapped:
+    words = {key: spec[key] for key in KEYS if key in spec}
+    own = {key: value for key, value in spec.items() if key not in words}
+    material = registry.make({"type": "family", **own})
     if not isinstance(material, WalkFamily):
         raise InputError(f"family '{spec['family']}' has no random walk")
-    return FamilyWalks(material, about)
+    family = FamilyWalks(material, about)
+    return NormalMapped(family, words) if words else family
 
 
 def of_record(record: Mapping[str, Any]) -> Any:
     """The source that a material was learned from, as its record describes it.
 
-    Beds, facet fields and families are made of the record alone; a relief is found by its name.
+    Beds, facet fields and families are made of the record alone; a relief is found by its name, for
+    materials learned from evaluations too.
 
     Raises:
         InputError: it cannot be found, or is another now.
@@ -104,10 +112,12 @@ def of_record(record: Mapping[str, Any]) -> Any:
     if "family" in known:
         spec = {key: value for key, value in known.items() if key != "type"}
         source = _family({"name": name, **spec}, about)
-    elif "description" in known:
+    elif known.get("type") == WALKED:
         source = parse({"name": name, "about": about, **known["description"]})
     else:
         source = surfaces.load(name)
-    if json.loads(json.dumps(source.identity())) != known:
+    now = json.loads(json.dumps(source.identity()))
+    # The hash of the code that traces a relief changes with every word of it.
+    if {**now, "source": ""} != {**known, "source": ""}:
         raise InputError(f"description '{name}' has changed since")
     return source
