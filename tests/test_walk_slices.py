@@ -71,3 +71,30 @@ def test_a_record_is_enough_to_walk_again():
     fix = {"alpha_x": 0.5, "alpha_y": 0.2, "r0_r": 0.9, "r0_g": 0.7, "r0_b": 0.3}
     described = {"type": "family", "family": "ggx-conductor", "fix": fix}
     assert sources.of_record({"name": "brass", "description": described}).name == "brass"
+
+
+def test_the_figure_shows_a_pair_per_angle_and_a_texture(monkeypatch, tmp_path):
+    """Rows of two materials, one with a texture; cells that reflect alike are shown alike."""
+    from PIL import Image
+
+    from harness.report.figures.canvas import Canvas
+    from harness.report.figures.walk_slices import _on_disk, walk_slices
+
+    raw = {}
+    for name, sizes in (("plain", {}), ("varied", {"resolution": 4, "channels": 2})):
+        raw[name], _ = found(monkeypatch, Matt(0.5, 0.5, 0.5), matt(0.5, 0.5, 0.5, **sizes))
+    results = SimpleNamespace(
+        materials=["plain", "varied", "missing"],
+        methods=[SimpleNamespace(label="m")],
+        trials=lambda measure, material: [material] if material in raw else [],
+        arrays=lambda trial: raw[trial],
+        number=lambda *at: "no number",
+    )
+    drawn = walk_slices(results, Canvas(tmp_path))[0]
+    width, height = Image.open(drawn.png).size
+    assert width > height > 300
+    cells = np.arange(48**2)[:, None] * np.ones(3)
+    image = _on_disk(cells, raw["plain"]["raster"])
+    assert image.shape == (120, 120, 3) and (image[0, 0] == 1).all()
+    results.trials = lambda measure, material: []
+    assert "no trial" in walk_slices(results, Canvas(tmp_path))
