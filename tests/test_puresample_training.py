@@ -303,3 +303,27 @@ def test_refused_commands(arguments, message, tmp_path):
     done = CliRunner().invoke(build(), ["material", "train", *arguments, "--out", out])
     assert isinstance(done.exception, InputError) and message in str(done.exception)
     assert "\n" not in str(done.exception)
+
+
+def test_a_direction_that_rounds_to_horizontal_is_not_learned():
+    """It has no place on the plane and would make the loss infinite; its neighbour is kept."""
+    rows = 64
+    near = torch.tensor([math.sqrt(1 - 1e-6), 0.0])
+    wo = near.repeat(rows, 1)
+    wo[0] = torch.tensor([1.0, 0.0])
+    at = torch.zeros(rows, 2)
+    left = torch.ones(rows, dtype=torch.bool)
+    walked = data.Walked(at, at, torch.zeros(rows).long(), wo, left, Counts(walks=rows))
+    kept = walked.survivors()
+    assert len(kept) == rows - 1 and torch.equal(kept.wo, near.expand(rows - 1, 2))
+    profile = replace(
+        TINY,
+        architecture=replace(TINY.architecture, domain="plane", base="lobes"),
+        matching_steps=3,
+        matching_batch=rows,
+        likelihood_steps=3,
+        likelihood_batch=rows,
+    )
+    network = PureSample(profile.architecture)
+    losses = density.fit(network, kept, profile, 0, "cpu", lambda *_: None)
+    assert all(math.isfinite(loss) for loss in losses.values())

@@ -103,12 +103,29 @@ def test_asymmetry_is_the_reciprocity_error():
 
 
 def test_other_materials_have_no_walks():
-    with pytest.raises(Unsupported, match="no record of walks"):
+    with pytest.raises(Unsupported, match="no record of walks or"):
         walks.source_of(Plain())
     lost = matt(0.5, 0.5, 0.5)
     lost.record = {"name": "no-such", "description": {}}
-    with pytest.raises(Unsupported, match="no description 'no-such'"):
+    with pytest.raises(Unsupported, match="no such description: no-such"):
         walks.source_of(lost)
     lost.record = {"name": "clay-beads", "description": {}}
     with pytest.raises(Unsupported, match="has changed"):
         walks.source_of(lost)
+
+
+def test_a_material_learned_from_evaluations_is_measured_beside_walks_too():
+    """A shipped one beside particles on its relief: of about their albedo, and every record."""
+    from harness.materials import registry
+
+    material = registry.make("leather")
+    settings = SETTINGS | {"angles": 1, "azimuths": 1, "walks": 1 << 13, "places": 4}
+    job = SimpleNamespace(
+        material=material, settings=settings, seed=1, generator=torch.Generator().manual_seed(0)
+    )
+    outcome = run("walks", [job])[0]
+    records = {r.metric: r.value for r in outcome.records}
+    assert records["albedo-ratio-0"] == pytest.approx(1, abs=0.3)
+    mass = outcome.arrays["mass"].astype(float)
+    assert outcome.arrays["learned"] == pytest.approx(mass.sum(-1), rel=1e-5)
+    assert 5e4 < records["size-bytes"] < 2e6

@@ -119,6 +119,14 @@ levels ssim-* 1 | structural similarity to the truth at a level
 levels network-parameters 1 | numbers of the decoder and the offset network
 levels texture-numbers 1 | numbers of the textures
 levels texture-channels 1 | channels of the textures
+patches macro-error 1 | squared difference of blocks' means, over the truth's square, less noise
+patches noise 1 | variance of one sample of a pixel over the mean square of the truth
+patches same-noise-time-ratio 1 | path-traced geometry's time over the material's, to one noise
+patches seconds-per-spp s | of a render of the material
+patches size-bytes B | of the tensors as stored
+patches truth-noise 1 | noise of path-traced geometry
+patches truth-seconds-per-spp s | of a render of the geometry
+patches truth-size-bytes B | of the triangles of one tile
 pdf kl nats | Kullback-Leibler divergence of the target from the density
 pdf chi2 1 | chi-square divergence: relative variance in constant light
 pdf kl-resolved 1 | 0 where the tail over conditions leaves kl a lower bound
@@ -153,6 +161,8 @@ throughput pdf-queries-per-second 1/s | rows of pdf
 throughput sample-time-ratio 1 | seconds of sample over the baseline's
 throughput pdf-time-ratio 1 | seconds of pdf over the baseline's
 throughput disturbed 1 | 1 where an interval of a time stayed wider than the tolerance
+walk-slices kl-* nats | of the walks' directions to the learned density, at an angle; 0 the normal
+walk-slices albedo-ratio-* 1 | albedo over that of the walks, at an angle; 0 the normal
 walks albedo-ratio-* 1 | albedo over that of the walks, at an angle; 0 the most grazing
 walks albedo-within 1 | share of directions and channels whose albedo is within 3 % of the walks'
 walks albedo-noise 1 | 95th percentile of the relative error of the walks' own albedo

@@ -47,7 +47,7 @@ def register(app: typer.Typer) -> None:
         from harness.core.terminal import Screen
         from harness.training import kinds
 
-        kinds.check(kind, description, resume)
+        kinds.check(kind, description)
         _ready(device)
         if out.suffix == ".safetensors":  # else the recipe says what it has to be
             file_to_write(out, "--out", _is_ours, "a material of harness material train")
@@ -66,7 +66,7 @@ def register(app: typer.Typer) -> None:
                 )
             except KeyboardInterrupt:
                 progress.stop()
-                console.print(kinds.interrupted(kind, out))
+                console.print(kinds.interrupted(out))
                 raise typer.Exit(INTERRUPTED) from None
         _show(console, [out])
 

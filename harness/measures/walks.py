@@ -1,8 +1,7 @@
-"""How close a material learned from walks comes to the walks: energy, shape, reciprocity."""
+"""How close a learned material comes to walks through its surface: energy, shape, reciprocity."""
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Callable
 from typing import Any
@@ -12,11 +11,12 @@ import torch
 
 from harness.core.protocol.disk import disk_to_square, square_to_disk
 from harness.core.protocol.errors import InputError, Unsupported
+from harness.materials.neural.material import NeuralMaterial
 from harness.materials.puresample.material import PureSampleMaterial
 from harness.measures.base import Job, Measure, Outcome
 from harness.measures.base import Settings as BaseSettings
 from harness.measures.compact import single
-from harness.microgeometry.walks import surfaces
+from harness.training.puresample import sources
 
 CELLS = 12
 """A side of the grid of cells of equal area in which f is compared."""
@@ -24,6 +24,8 @@ _POINTS = 12
 """A side of the raster of points of a cell at which the material is evaluated: with 4, a narrow
 peak of `bronze-grains` lost 2 % of its energy."""
 _CHANNELS = 3
+
+Learned = PureSampleMaterial | NeuralMaterial
 
 
 class Walks(Measure):
@@ -33,7 +35,8 @@ class Walks(Measure):
     channel start at random places. How many leave is an estimate of the albedo with a binomial
     error, and where they leave one of the integral of f over the 12^2 cells of the disk, whose
     noise is known and taken off the difference. The material says its albedo itself; its f is
-    evaluated at 12^2 points a cell, at one random place for each of ``places`` where it varies.
+    evaluated at 12^2 points a cell, at one random place for each of ``places`` where it varies. A
+    neural material, learned from evaluations, has the albedo that its f has over those points.
 
     Reciprocity: f(wi, wo) and f(wo, wi) at ``pairs`` of directions uniform on the disk. The
     geometry is reciprocal in the mean over its tile; the material is not by construction. The
@@ -72,8 +75,8 @@ class Walks(Measure):
                 count.append(seen)
                 many = settings.places if material.n_features else 1
                 rows = conditions(material, wi, torch.rand(many, 2, generator=random))
-                learned.append(material.albedo(rows).double().mean(0).numpy())
                 mass.append(evaluated(material, rows))
+                learned.append(albedo_of(material, rows, mass[-1]))
         f = reciprocal(material, settings.pairs, random)
         shape = (settings.angles, settings.azimuths)
         return Outcome(
@@ -104,12 +107,22 @@ def walked(source: Any, wi: torch.Tensor, n: int, seed: int, random: torch.Gener
     return np.stack(found)
 
 
-def conditions(material: PureSampleMaterial, wi: torch.Tensor, uv: torch.Tensor) -> torch.Tensor:
-    """Rows [P, C] of the material at places ``uv`` [P, 2] and one direction [2]."""
-    return torch.cat([material.places(uv), wi.expand(len(uv), 2)], 1)
+def conditions(material: Learned, wi: torch.Tensor, uv: torch.Tensor) -> torch.Tensor:
+    """Rows [P, C] of the material at places ``uv`` [P, 2] and directions [P, 2] or [2]."""
+    wi = wi.expand(len(uv), 2)
+    if isinstance(material, NeuralMaterial):
+        return material.condition_at(uv, wi.contiguous())
+    return torch.cat([material.places(uv), wi], 1)
 
 
-def evaluated(material: PureSampleMaterial, rows: torch.Tensor) -> np.ndarray:
+def albedo_of(material: Learned, rows: torch.Tensor, mass: np.ndarray) -> np.ndarray:
+    """Mean albedo [3] over rows [P, C]: as the material says it, or the sum [3, cells] of f."""
+    if isinstance(material, NeuralMaterial):
+        return mass.sum(1)
+    return material.albedo(rows).double().mean(0).numpy()
+
+
+def evaluated(material: Learned, rows: torch.Tensor) -> np.ndarray:
     """Integral [3, CELLS^2] of the material's f over each cell, in the mean over rows [P, C]."""
     side = CELLS * _POINTS
     at = (torch.arange(side) + 0.5) / side
@@ -122,36 +135,35 @@ def evaluated(material: PureSampleMaterial, rows: torch.Tensor) -> np.ndarray:
     return (cells.view(-1, _CHANNELS).T * (math.pi / CELLS**2)).numpy()
 
 
-def reciprocal(material: PureSampleMaterial, n: int, random: torch.Generator) -> np.ndarray:
+def reciprocal(material: Learned, n: int, random: torch.Generator) -> np.ndarray:
     """f [n, 2, 3] at random pairs of directions, one way and the other."""
     u = torch.rand(n, 6, generator=random)
-    features = material.places(u[:, 4:])
     a, b = (square_to_disk(u[:, k : k + 2]) for k in (0, 2))
-    ways = [material.eval(torch.cat([features, x], 1), y) for x, y in ((a, b), (b, a))]
+    rows = [conditions(material, x, u[:, 4:]) for x in (a, b)]
+    ways = [material.eval(row, y) for row, y in zip(rows, (b, a), strict=True)]
     return torch.stack(ways, 1).numpy()
 
 
-def size_bytes(material: PureSampleMaterial) -> int:
-    """Of the tensors as they are stored: a texture in half precision."""
-    net = material.network
-    small = 0 if net.texture is None else net.texture.numel() * 2
-    return sum(v.numel() * v.element_size() for v in net.state_dict().values()) - small
+def size_bytes(material: Learned) -> int:
+    """Of the tensors as they are stored: textures in half precision."""
+    tensors = material.network.state_dict().items()
+    return sum(v.numel() * (2 if "texture" in name else v.element_size()) for name, v in tensors)
 
 
 def source_of(material: Any) -> Any:
-    """The surface that a material was learned from.
+    """The surface that a material was learned from, to walk on.
+
+    A neural material was learned from evaluations of a relief, on which particles walk as well.
 
     Raises:
-        Unsupported: it was not learned from walks, or its surface is not known or has changed.
+        Unsupported: it was not learned, or its surface is not known or has changed.
     """
-    if not isinstance(material, PureSampleMaterial) or "name" not in material.record:
-        raise Unsupported(f"material '{material.name}' has no record of walks")
-    name = material.record["name"]
+    if not isinstance(material, PureSampleMaterial | NeuralMaterial) or (
+        not {"name", "description"} <= set(material.record)
+    ):
+        raise Unsupported(f"material '{material.name}' has no record of walks or evaluations")
     try:
-        surface = surfaces.load(name)
-    except InputError:
-        message = f"material '{material.name}': there is no description '{name}' any more"
-        raise Unsupported(message) from None
-    if json.loads(json.dumps(surface.identity())) != material.record["description"]:
-        raise Unsupported(f"material '{material.name}': description '{name}' has changed since")
-    return surface
+        return sources.of_record(material.record)
+    except InputError as error:
+        name = material.record["name"]
+        raise Unsupported(f"material '{material.name}', learned from '{name}': {error}") from None

@@ -8,6 +8,7 @@ from harness.geometry.primitives import Sphere
 from harness.geometry.shapes import cloth_mesh
 from harness.scenes.base import Camera, Scene
 from harness.scenes.environment import open_shade, studio
+from harness.scenes.patches import bent_quad, close_up, quad
 from harness.scenes.shelf import shelf
 from harness.scenes.sizes import SCALE, Size
 from harness.scenes.still_life import table_still_life
@@ -88,4 +89,7 @@ SCENES: dict[str, Callable[..., Scene]] = {
     "uniform-cloth": uniform_cloth,
     "shelf": shelf,
     "table-still-life": table_still_life,
+    "quad": quad,
+    "bent-quad": bent_quad,
+    "close-up": close_up,
 }

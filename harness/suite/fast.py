@@ -21,6 +21,8 @@ MOST: dict[str, Any] = {
     "batches": 6,
     "spp": 8,
     "reference_spp": 512,
+    "truth_spp": 64,
+    "walks": 65_536,
     "resolution": 48,
     "max_seconds": 4.0,
     "conditions": 32,

@@ -17,12 +17,10 @@ KINDS = ("neural", "puresample")
 Notify = Callable[[str, float], None]
 
 
-def check(kind: str, description: str, resume: bool) -> None:
+def check(kind: str, description: str) -> None:
     """Refuse, before anything is computed, what a training of ``kind`` cannot follow."""
     if kind not in KINDS:
         raise InputError(f"--kind: unknown kind '{kind}'{nearest(kind, KINDS)}")
-    if kind == "puresample" and resume:
-        raise InputError("--resume: a training from walks starts anew; leave it out")
     if kind == "neural" and Path(description).stem in surfaces.names():
         raise InputError(
             f"{description}: primitives and facets are walked on and not evaluated; expected"
@@ -45,18 +43,19 @@ def train(
     if kind == "puresample":
         from harness.training.puresample import recipe as from_walks
 
-        from_walks.train(description, out, profile, seed, device, notify, changes)
+        from_walks.train(description, out, profile, seed, device, notify, changes, resume)
         return
     from harness.training import recipe
 
     recipe.train(description, out, profile, seed, device, resume, notify, changes)
 
 
-def interrupted(kind: str, out: Path) -> str:
+def interrupted(out: Path) -> str:
     """What to say after Ctrl-C."""
-    if kind == "puresample":
+    under_way = out.with_suffix(".train")
+    if not under_way.is_file():
         return "interrupted; nothing is stored"
-    return f"interrupted; --resume goes on from {out.with_suffix('.train')}"
+    return f"interrupted; --resume goes on from {under_way}"
 
 
 def shipped() -> dict[str, Path]:

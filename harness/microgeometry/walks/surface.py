@@ -15,6 +15,9 @@ from harness.microgeometry.walks.kernel import BOUND, Exits, walk
 from harness.microgeometry.walks.micro import MicroBSDF
 from harness.microgeometry.walks.primitives import Primitives
 
+WALKED = "walked microgeometry"
+"""The type of a described bed or facet field; a relief has its own."""
+
 
 @dataclass(frozen=True, eq=False)
 class WalkedSurface:
@@ -43,7 +46,7 @@ class WalkedSurface:
 
     def identity(self) -> dict[str, Any]:
         """What determines its walks, as JSON data without paths."""
-        return {"type": "walked microgeometry", **self.source}
+        return {"type": WALKED, **self.source}
 
     def geometry(self, device: str) -> Any:
         """For rays on ``device``, built once."""

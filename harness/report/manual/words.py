@@ -67,6 +67,7 @@ SETTINGS = {
     "batch": ("rows", "of a timed call"),
     "batches": ("renders", "independent ones, over which intervals are"),
     "bins": ("cells a side", "of the raster that the interpolation error is counted in"),
+    "azimuth": ("degrees", "of all the angles of incidence"),
     "cases": ("names", "of hard cases, `harness list cases`; null: all"),
     "conditions": ("conditions", "held out from fitting"),
     "count": ("conditions", "whose slices are made"),
@@ -106,6 +107,7 @@ SETTINGS = {
     "starts": ("processes", "that are started cold; 0: none"),
     "tolerance": ("1", "width of an interval over its value that is narrow enough; in `effects`"
                   " root of the relative mean squared error that does not matter"),
+    "truth_spp": ("samples a pixel", "of path-traced geometry, in all rounds together"),
     "views": ("pictures", "of each level of detail"),
     "walks": ("particles", "of each channel and direction"),
     "warm_up": ("s", "of warming up at most"),

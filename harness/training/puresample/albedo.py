@@ -24,7 +24,7 @@ from harness.core.streams import generator
 from harness.materials.puresample.network import CHANNELS, PureSample
 from harness.microgeometry.walks.kernel import Counts
 from harness.training.puresample.data import LANES
-from harness.training.puresample.descent import Notify, descend
+from harness.training.puresample.descent import Notify, UnderWay, descend
 from harness.training.puresample.profiles import ALBEDO_LOSSES, Profile
 
 
@@ -94,14 +94,13 @@ def fit(
     seed: int,
     device: str,
     notify: Notify,
+    under_way: UnderWay | None = None,
 ) -> float:
     """The albedo's network alone: the texture stands still. Returns the last loss."""
     random = torch.Generator().manual_seed(seed)
     u, wi, share = (x.to(device) for x in data[:3])
-    with torch.no_grad():
-        # A survivor more, so that the start is finite where none came back.
-        mean = (share.mean(0) * len(share) + 0.5) / (len(share) + 1)
-        _last(network).bias.copy_(torch.logit(mean))
+    if under_way is None or "albedo" not in under_way.begun:
+        _start(network, share)
 
     def loss() -> Tensor:
         index = torch.randint(len(wi), (profile.albedo_batch,), generator=random).to(device)
@@ -111,7 +110,15 @@ def fit(
         return loss_of(profile.albedo_loss, logit, share[index])
 
     groups = [(list(network.albedo_net.parameters()), profile.albedo_rate)]
-    return descend(loss, groups, profile.albedo_steps, notify, "albedo")
+    return descend(loss, groups, profile.albedo_steps, notify, "albedo", network, random, under_way)
+
+
+def _start(network: PureSample, share: Tensor) -> None:
+    """The mean share everywhere."""
+    with torch.no_grad():
+        # A survivor more, so that the start is finite where none came back.
+        mean = (share.mean(0) * len(share) + 0.5) / (len(share) + 1)
+        _last(network).bias.copy_(torch.logit(mean))
 
 
 def _last(network: PureSample) -> torch.nn.Linear:

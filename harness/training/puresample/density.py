@@ -9,7 +9,7 @@ from harness.core.protocol.method import Budget
 from harness.fitting.flow_matching import likelihood_loss, matching_loss
 from harness.materials.puresample.network import PureSample
 from harness.training.puresample.data import Walked
-from harness.training.puresample.descent import Notify, descend
+from harness.training.puresample.descent import Notify, UnderWay, descend
 from harness.training.puresample.profiles import Profile
 
 
@@ -33,7 +33,13 @@ class Rows:
 
 
 def fit(
-    network: PureSample, data: Walked, profile: Profile, seed: int, device: str, notify: Notify
+    network: PureSample,
+    data: Walked,
+    profile: Profile,
+    seed: int,
+    device: str,
+    notify: Notify,
+    under_way: UnderWay | None = None,
 ) -> dict[str, float]:
     """Both phases; ``data`` are particles that left. Returns the last losses."""
     rows, random = Rows(network, data, device), torch.Generator().manual_seed(seed)
@@ -60,7 +66,9 @@ def fit(
         ("likelihood", likelihood, profile.likelihood_steps, profile.likelihood_rate),
     ):
         if steps:
-            losses[what] = descend(loss, groups(rate), steps, notify, what)
+            losses[what] = descend(
+                loss, groups(rate), steps, notify, what, network, random, under_way
+            )
     return losses
 
 

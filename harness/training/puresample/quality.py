@@ -74,7 +74,7 @@ class Held:
         conditions: int = 24,
         walks: int = 1 << 19,
         directions: int = 96,
-        group: int = 1 << 16,
+        group: int = 1 << 18,
         device: str = "cpu",
     ) -> Held:
         """``walks`` particles from each of the conditions, ``group`` a channel of each direction.

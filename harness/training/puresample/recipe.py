@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, replace
@@ -18,6 +17,7 @@ from harness.materials.puresample import storage
 from harness.materials.puresample.network import PureSample
 from harness.training.changes import changed
 from harness.training.puresample import albedo, data, density, sources
+from harness.training.puresample.descent import UnderWay
 from harness.training.puresample.profiles import Profile
 from harness.training.puresample.profiles import profile as find_profile
 from harness.training.puresample.quality import Held
@@ -36,10 +36,13 @@ def train(
     device: str = "cpu",
     notify: Notify = lambda _text, _share: None,
     changes: Sequence[str] = (),
+    resume: bool = False,
 ) -> dict[str, Any]:
     """Learn the material of a description from its walks and store it as ``out``; its record.
 
-    ``changes`` are sizes of the networks and numbers of the profile that differ, ``KEY=VALUE``.
+    An interrupted training leaves ``out`` with the suffix ``.train`` beside it, from which
+    ``resume`` goes on, with the same walks drawn again; a finished one removes it. ``changes`` are
+    sizes of the networks and numbers of the profile that differ, ``KEY=VALUE``.
 
     Raises:
         InputError: no such description or profile; a surface of which nothing can be learned.
@@ -47,6 +50,9 @@ def train(
     if out.suffix != ".safetensors":
         raise InputError(f"--out {out}: expected a name that ends in .safetensors")
     chosen = checked(changed(find_profile(profile), changes))
+    file = out.with_suffix(".train")
+    if resume and not file.is_file():
+        raise InputError(f"--resume: there is no {file} to go on from")
     source = sources.load(description)
     if source.grey:
         chosen = replace(chosen, architecture=replace(chosen.architecture, grey=True))
@@ -63,9 +69,15 @@ def train(
         spread=not chosen.architecture.textured,
     )
     data_seconds = time.perf_counter() - start
-    start = time.perf_counter()
-    network = fitted(chosen, walked, survival, seed, device, notify)
-    train_seconds = time.perf_counter() - start
+    out.parent.mkdir(parents=True, exist_ok=True)
+    labels = {
+        "surface": str(source.identity()),
+        "profile": str(chosen),
+        "seed": seed,
+        "device": device,
+    }
+    under_way = UnderWay(file, labels)
+    network = fitted(chosen, walked, survival, seed, device, notify, under_way, resume)
     record = {
         "name": source.name,
         "about": source.about,
@@ -75,10 +87,12 @@ def train(
         "finished": datetime.now(UTC).isoformat(timespec="seconds"),
         "environment": machine.describe(device),
         "data_seconds": round(data_seconds, 2),
-        "train_seconds": round(train_seconds, 2),
+        "train_seconds": round(under_way.seconds, 2),
         "walks": vars(walked.counts),
     }
-    return _store(network, source, record, out, device, notify)
+    _store(network, source, record, out, device, notify)
+    file.unlink(missing_ok=True)
+    return record
 
 
 def fitted(
@@ -88,13 +102,20 @@ def fitted(
     seed: int,
     device: str = "cpu",
     notify: Notify = lambda _text, _share: None,
+    under_way: UnderWay | None = None,
+    resume: bool = False,
 ) -> PureSample:
-    """The networks of those walks: density and texture, then the albedo with the texture frozen."""
+    """The networks of those walks: density and texture, then the albedo with the texture frozen.
+
+    ``under_way`` keeps its state as it goes, from which ``resume`` goes on.
+    """
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
         network = PureSample(profile.architecture).to(device)
-    density.fit(network, walked.survivors(), profile, seed, device, notify)
-    albedo.fit(network, survival, profile, seed, device, notify)
+    if under_way is not None and resume:
+        under_way.load(network)
+    density.fit(network, walked.survivors(), profile, seed, device, notify, under_way)
+    albedo.fit(network, survival, profile, seed, device, notify, under_way)
     return network.cpu().eval()
 
 
@@ -105,9 +126,12 @@ def measure(file: Path, seed: int = 0, device: str = "cpu") -> dict[str, Any]:
         InputError: its description is not there, or is another now.
     """
     record = storage.record(file)
-    source = sources.load(record.get("name", ""))
-    if json.loads(json.dumps(source.identity())) != record.get("description"):
-        raise InputError(f"{file}: was trained on another '{record['name']}' than there is now")
+    if not {"name", "description"} <= set(record):
+        raise InputError(f"{file}: has no record of what it was learned from")
+    try:
+        source = sources.of_record(record)
+    except InputError as error:
+        raise InputError(f"{file}: {error}") from None
     network = storage.load(file)
     held = Held.draw(source, seed, network.architecture.textured, device=device)
     record["quality"] = held.measure(network).as_dict()

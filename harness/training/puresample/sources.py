@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -16,7 +17,10 @@ from harness.materials import registry
 from harness.materials.families.walks import WalkFamily
 from harness.microgeometry import descriptions
 from harness.microgeometry.walks import surfaces
+from harness.microgeometry.walks.description import parse
 from harness.microgeometry.walks.kernel import Counts, Exits
+from harness.microgeometry.walks.surface import WALKED
+from harness.training.puresample.normal_mapped import KEYS, NormalMapped
 
 
 class FamilyWalks:
@@ -66,6 +70,8 @@ def load(name: str | Path) -> Any:
         about: "rough varnish over a matt base"
         family: layered
         fix: {eta: 1.5, alpha: 0.1, ...}
+        fields: {dents: ...}                   # with a normal map, as a relief's micro normals
+        micro: {field: dents, depth: 0.02}
 
     Raises:
         InputError: one line that names the file and what was expected.
@@ -77,9 +83,41 @@ def load(name: str | Path) -> Any:
     about = str(data.get("about", ""))
     spec = {key: value for key, value in data.items() if key != "about"}
     try:
-        material = registry.make({"type": "family", **spec})
-        if not isinstance(material, WalkFamily):
-            raise InputError(f"family '{spec['family']}' has no random walk")
-        return FamilyWalks(material, about)
+        return _family(spec, about)
     except InputError as error:
         raise InputError(f"{file}: {error}") from None
+
+
+def _family(spec: Mapping[str, Any], about: str) -> FamilyWalks | NormalMapped:
+    words = {key: spec[key] for key in KEYS if key in spec}
+    own = {key: value for key, value in spec.items() if key not in words}
+    material = registry.make({"type": "family", **own})
+    if not isinstance(material, WalkFamily):
+        raise InputError(f"family '{spec['family']}' has no random walk")
+    family = FamilyWalks(material, about)
+    return NormalMapped(family, words) if words else family
+
+
+def of_record(record: Mapping[str, Any]) -> Any:
+    """The source that a material was learned from, as its record describes it.
+
+    Beds, facet fields and families are made of the record alone; a relief is found by its name, for
+    materials learned from evaluations too.
+
+    Raises:
+        InputError: it cannot be found, or is another now.
+    """
+    name, known = str(record["name"]), record["description"]
+    about = str(record.get("about", ""))
+    if "family" in known:
+        spec = {key: value for key, value in known.items() if key != "type"}
+        source = _family({"name": name, **spec}, about)
+    elif known.get("type") == WALKED:
+        source = parse({"name": name, "about": about, **known["description"]})
+    else:
+        source = surfaces.load(name)
+    now = json.loads(json.dumps(source.identity()))
+    # The hash of the code that traces a relief changes with every word of it.
+    if {**now, "source": ""} != {**known, "source": ""}:
+        raise InputError(f"description '{name}' has changed since")
+    return source

@@ -1,0 +1,80 @@
+"""Path-traced geometry beside the material learned from it (PureSample, Figure 5)."""
+
+from __future__ import annotations
+
+import numpy as np
+from matplotlib.axes import Axes
+from numpy.typing import NDArray
+
+from harness.analysis.results import Results
+from harness.report.figures.canvas import Canvas, Drawn, picture, sheet, styled
+from harness.report.figures.rendered import LUMINANCE, exposure, srgb
+from harness.report.formats.short import short
+
+ORDER = 133
+MEASURE = "patches"
+_CELL, _GAP, _LEFT, _TOP, _UNDER = 1.3, 0.04, 0.28, 0.4, 0.18
+"""Inches."""
+_HEADS = ("geometry", "learned", "error")
+
+
+def patches(results: Results, canvas: Canvas) -> list[Drawn] | str:
+    """A figure per method: rows materials; of each scene truth, learned and error."""
+    if not results.trials(MEASURE):
+        return f"no trial of the measure {MEASURE} ended well"
+    drawn = []
+    labels = [m.label for m in results.methods if results.trials(MEASURE, None, m.label)]
+    with styled():
+        for label in canvas.mine(labels):
+            drawn.append(_figure(results, canvas, label))
+    return drawn
+
+
+def _figure(results: Results, canvas: Canvas, label: str) -> Drawn:
+    scenes = results.scenes(MEASURE)
+    materials = [m for m in results.materials if results.trials(MEASURE, m, label)]
+    wide = 3 * _CELL + 2 * _GAP
+    line = _CELL + _UNDER
+    height = _TOP + line * len(materials)
+    figure, axes = sheet(_LEFT + len(scenes) * (wide + 3 * _GAP), height)
+    for r, material in enumerate(materials):
+        y = height - _TOP - r * line - _CELL
+        axes.text(_LEFT / 2, y + _CELL / 2, material, rotation=90, ha="center", va="center")
+        for s, scene in enumerate(scenes):
+            x = _LEFT + s * (wide + 3 * _GAP)
+            if r == 0:
+                axes.text(x + wide / 2, height - 0.05, scene, ha="center", va="top", fontsize=9)
+                for k, head in enumerate(_HEADS):
+                    middle = x + k * (_CELL + _GAP) + _CELL / 2
+                    axes.text(middle, y + _CELL + 0.03, head, ha="center", va="bottom", fontsize=7)
+            trials = results.trials(MEASURE, material, label, scene)
+            if trials:
+                images = results.stored(trials[0]).images
+                _three(axes, images["truth"], images["learned"], x, y)
+                found = results.number(MEASURE, "macro-error", material, label, scene)
+                if not isinstance(found, str):
+                    text = f"difference at large {short(found.value)}"
+                    axes.text(x + wide / 2, y - 0.02, text, ha="center", va="top", fontsize=6.5)
+    return canvas.save(
+        figure,
+        f"patches-{label}",
+        f"Geometry and learned material, {label}",
+        "Mitsuba's path tracer on the triangles of the microgeometry; the material learned from "
+        "walks on a flat sheet of the same outline, equally exposed; and their absolute difference "
+        "in luminance (black 0, yellow half of white). Difference at large: of means over 6 x 6 "
+        "blocks of the picture, squared, over the truth's mean square, the noise taken off. A "
+        "material without a texture shows the mean over its tile, also close up.",
+        vector=False,
+    )
+
+
+def _three(axes: Axes, truth: NDArray, learned: NDArray, x: float, y: float) -> None:
+    scale = exposure(truth)
+    error = np.abs((learned.astype(float) - truth) @ LUMINANCE) * scale
+
+    def box(k: int) -> tuple[float, float, float, float]:
+        return (x + k * (_CELL + _GAP), y, _CELL, _CELL)
+
+    picture(axes, srgb(truth, scale), box(0))
+    picture(axes, srgb(learned, scale), box(1))
+    picture(axes, error, box(2), cmap="inferno", vmin=0, vmax=0.5)
