@@ -33,6 +33,7 @@ from harness.nets.discrete_flow import DiscreteFlow
 from harness.nets.extremes import FAR, held
 from harness.nets.mixture_base import BASES, ColumnMixture
 from harness.nets.solvers import SOLVERS
+from harness.nets.velocity import Shared
 
 TRAININGS = ("matching", "likelihood")
 _FELT = 2.0**-13
@@ -326,7 +327,7 @@ class FlowMatching(SteadyMethod, ColumnMethod):
         pdf = dr.select(origin.found | (slope == 0), pdf, dr.nan)
         return self._mixed(pdf, wo, at.base)
 
-    def origin_columns(self, place: Columns, shared: Columns) -> Any:
+    def origin_columns(self, place: Columns, shared: Shared) -> Any:
         """Where ``place`` comes from, for :meth:`pdf_columns`."""
         return discrete_flow_columns.invert(self.flow(), place, shared)
 

@@ -16,6 +16,7 @@ from harness.core.protocol.errors import InputError, nearest
 from harness.core.protocol.material import Material
 from harness.core.protocol.method import Budget, FitReport, Knob
 from harness.nets.conditional_flow import ConditionalFlow
+from harness.nets.velocity import Shared
 
 STATES = ("rectify", "diffusion")
 QUERIES = ("inverse", "published")
@@ -63,7 +64,7 @@ class FlowMatchingFu2024(FlowMatchingPublished):
         self.folder, self.weights, self.query = Path(folder), weights, query
         self.shape |= {"framed": False, "bounded": False, "base_activation": "silu"}
 
-    def origin_columns(self, place: Columns, shared: Columns) -> Any:
+    def origin_columns(self, place: Columns, shared: Shared) -> Any:
         """See :meth:`FlowMatching.origin_columns`."""
         if self.query == "inverse":
             return FlowMatching.origin_columns(self, place, shared)

@@ -13,6 +13,7 @@ from harness.core.columns.reflectance import reflectance_columns
 from harness.nets import defensive, discrete_flow_columns
 from harness.nets.conditional_flow import ConditionalFlow
 from harness.nets.coupling import unit_normal_columns
+from harness.nets.velocity import Shared
 
 
 class FlowMatchingPublished(FlowMatching):
@@ -55,7 +56,7 @@ class FlowMatchingPublished(FlowMatching):
             wo = [dr.select(elsewhere, a, b) for a, b in zip(there, wo, strict=True)]
         return *wo, self._density(at, wo)
 
-    def origin_columns(self, place: Columns, shared: Columns) -> Any:
+    def origin_columns(self, place: Columns, shared: Shared) -> Any:
         """See :meth:`FlowMatching.origin_columns`: by explicit steps back."""
         return discrete_flow_columns.backward(self.flow(), place, shared)
 

@@ -28,14 +28,18 @@ class Library:
     seconds: float
     pack: ctypes._CFuncPtr
     network: ctypes._CFuncPtr
+    flow: ctypes._CFuncPtr
     transpose: ctypes._CFuncPtr
     functions: ctypes._CFuncPtr
     submit: int | None
     wait: int | None
 
     def elementary(self, v: np.ndarray) -> tuple[np.ndarray, ...]:
-        """Exponential, sine and cosine as the kernels have them; of float32 [a multiple of 64]."""
-        out = tuple(np.empty_like(v) for _ in range(3))
+        """Exponential, sine, cosine, logistic function and hyperbolic tangent of the kernels.
+
+        Of float32 [a multiple of 64].
+        """
+        out = tuple(np.empty_like(v) for _ in range(5))
         places = [ctypes.c_void_p(a.ctypes.data) for a in (v, *out)]
         self.functions(places[0], ctypes.c_int32(v.size), *places[1:])
         return out
@@ -67,14 +71,15 @@ def opened(file: Path, name: str, start: float) -> Library:
         OSError: it cannot be loaded.
     """
     loaded = ctypes.CDLL(str(file))
-    for function in (loaded.harness_pack, loaded.harness_network, loaded.harness_transpose):
-        function.restype = None
+    for name_of in ("pack", "network", "flow", "transpose", "functions"):
+        getattr(loaded, f"harness_{name_of}").restype = None
     submit, wait = _pool()
     return Library(
         name=name,
         seconds=time.perf_counter() - start,
         pack=loaded.harness_pack,
         network=loaded.harness_network,
+        flow=loaded.harness_flow,
         transpose=loaded.harness_transpose,
         functions=loaded.harness_functions,
         submit=submit,

@@ -74,6 +74,40 @@ INLINE Floats exponential(Floats v) {
     return p * power_of_two(half) * power_of_two(k - half);
 }
 
+// 2^n and e^r - 1, of which e^v = 2^n e^r; |v| <= 87, so that 2^n is a normal number.
+INLINE Floats power_and_rest(Floats v, Floats &rest) {
+    Floats n = nearest(v * 1.44269504f);
+    Floats r = v - n * 0.693145752f;
+    r = r - n * 1.42860677e-6f;
+    Floats p = all(1.0f / 5040);
+    p = p * r + 1.0f / 720;
+    p = p * r + 1.0f / 120;
+    p = p * r + 1.0f / 24;
+    p = p * r + 1.0f / 6;
+    p = p * r + 0.5f;
+    rest = p * r * r + r;
+    return power_of_two(__builtin_convertvector(n, Ints));
+}
+
+// Between bounds beyond which the functions below do not change any more; a nan stays one.
+INLINE Floats between(Floats v, float bound) {
+    Floats x = v < -bound ? all(-bound) : v;
+    return x > bound ? all(bound) : x;
+}
+
+// 1 / (1 + e^-v).
+INLINE Floats logistic(Floats v) {
+    Floats rest, power = power_and_rest(between(-v, 87.0f), rest);
+    return 1.0f / (1.0f + (power + power * rest));
+}
+
+// With all digits near zero too: e^2v - 1 over e^2v + 1.
+INLINE Floats hyperbolic_tangent(Floats v) {
+    Floats rest, power = power_and_rest(between(2.0f * v, 40.0f), rest);
+    Floats less = power * rest + (power - 1.0f);
+    return less / (less + 2.0f);
+}
+
 // v less k quarter turns.
 INLINE Floats less_quarters(Floats v, Floats k) {
     v = v - k * 1.57079637f;
