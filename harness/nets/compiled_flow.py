@@ -39,8 +39,8 @@ class _Flow(ctypes.Structure):
 class Numbers:
     """Weights [out, in] and biases [out] of a velocity, float32.
 
-    ``condition`` is the first layer's part for the encoded condition, with its bias; ``place`` [W, 3]
-    that for x, y and the time; ``rest`` the layers after it.
+    ``condition`` is the first layer's part for the encoded condition, with its bias; ``place``
+    [W, 3] that for x, y and the time; ``rest`` the layers after it.
     """
 
     condition: tuple[np.ndarray, np.ndarray]
@@ -51,7 +51,9 @@ class Numbers:
 class PackedFlow:
     """A velocity's weights in the order that the kernels read them."""
 
-    def __init__(self, library: Library, numbers: Numbers, activation: str, slope: float, bounded: bool):
+    def __init__(
+        self, library: Library, numbers: Numbers, activation: str, slope: float, bounded: bool
+    ):
         self.library = library
         self._kept: list[np.ndarray] = []
         self._condition = self._layers([numbers.condition], for_flow=False)
@@ -74,9 +76,9 @@ class PackedFlow:
     def run(
         self, way: int, steps: int, encoded: Encoded, x: Columns, active: Any = None
     ) -> Columns:
-        """Where Euler's steps lead from ``x``, in the rows that are ``active``; computed when it returns.
+        """Where Euler's steps lead from ``x``, in the rows that are ``active``.
 
-        x and y; but for ENDPOINT the determinant of the map; for FORWARD the derivatives by x and
+        Computed when it returns: x and y; but for ENDPOINT the determinant of the map; for FORWARD the derivatives by x and
         by y, for INVERSE 1 where the start was found and 0 where not.
         """
         extra = list(x) if active is None else [*x, dr.select(active, type(x[0])(1), 0)]

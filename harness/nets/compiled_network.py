@@ -53,14 +53,14 @@ class Network(ctypes.Structure):
     ]
 
 
-def usable(x: Encoded, *others: Float, widths: Sequence[int], bins: int = 0) -> Library | None:
+def usable(x: Encoded, *others: Float, widths: Sequence[int] = (), bins: int = 0) -> Library | None:
     """The kernels, if they can run a network of these ``widths`` on these columns now.
 
     Not inside of what Dr.Jit records to run later, where columns have no values yet; not for
     derivatives by the columns, which only Dr.Jit has; not on a GPU.
     """
     raw = [*x.raw, *others]
-    if max(len(raw), *widths) > MOST or bins > MOST_BINS:
+    if max((len(raw), *widths)) > MOST or bins > MOST_BINS:
         return None
     if max(dr.width(column) for column in raw) > MOST_ROWS:
         return None
@@ -164,7 +164,10 @@ class Packed:
 def pack(
     library: Library, layer: Layer, weight: np.ndarray, bias: np.ndarray, for_flow: bool = False
 ) -> list[np.ndarray]:
-    """Fills in ``layer`` with weights in the order that the kernels read them; what it points to."""
+    """Fills in ``layer`` with weights in the order that the kernels read them.
+
+    Returns what it points to, to be kept.
+    """
     outputs, inputs = weight.shape
     packed = np.empty(weight.size, np.float32)
     weight = np.ascontiguousarray(weight, np.float32)

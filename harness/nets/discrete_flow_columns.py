@@ -1,7 +1,7 @@
 """The steps of :mod:`harness.nets.discrete_flow` over columns.
 
-By the compiled kernels where they can run them (Euler's method, columns that have values); otherwise
-as loops inside one kernel of Dr.Jit's.
+By the compiled kernels where they can run them (Euler's method, columns that have values);
+otherwise as loops inside one kernel of Dr.Jit's.
 """
 
 from __future__ import annotations

@@ -32,7 +32,7 @@ REACH = 8.0
 
 @dataclass(frozen=True)
 class Shared:
-    """What conditions are to a velocity: what they add to its first layer is computed when needed."""
+    """What conditions are to a velocity: what they add to its first layer, when it is needed."""
 
     velocity: Velocity
     encoded: Encoded
@@ -226,7 +226,9 @@ class Velocity(nn.Module):
             parts = [self._part(name) for name in self._names]
             tensor = dr.tensor_t(array)
             weights = [tensor(np.ascontiguousarray(w)) for w, _ in parts]
-            biased = [name for name, (_, b) in zip(self._names, parts, strict=True) if b is not None]
+            biased = [
+                name for name, (_, b) in zip(self._names, parts, strict=True) if b is not None
+            ]
             biases = [array(b) for _, b in parts if b is not None]
             packed = drjit.nn.pack(*weights, *biases, layout="inference")
             n = len(parts)

@@ -20,17 +20,17 @@ struct Matrix {
     float a, c, b, d;
 };
 
-INLINE float determinant(const Matrix &m) { return m.a * m.d - m.b * m.c; }
+INLINE float determinant(const Matrix &m) { return fused(m.a, m.d, -(m.b * m.c)); }
 
 // Of the step by h at row i of `rows`.
 INLINE Matrix step_matrix(const Rows &rows, int i, float h) {
-    return {1.0f + h * rows.ux[i], h * rows.vx[i], h * rows.uy[i], 1.0f + h * rows.vy[i]};
+    return {fused(h, rows.ux[i], 1.0f), h * rows.vx[i], h * rows.uy[i], fused(h, rows.vy[i], 1.0f)};
 }
 
 INLINE void solve(const Matrix &m, float x, float y, float &to_x, float &to_y) {
     const float scale = 1.0f / determinant(m);
-    to_x = (m.d * x - m.b * y) * scale;
-    to_y = (m.a * y - m.c * x) * scale;
+    to_x = fused(m.d, x, -(m.b * y)) * scale;
+    to_y = fused(m.a, y, -(m.c * x)) * scale;
 }
 
 // Rows of a tile on their way: places, and the whole map's determinant and derivatives.
@@ -50,11 +50,11 @@ void forward(const Flow &flow, const float *shared, Tile &tile, Rows &rows, floa
         pass<true>(flow.velocity, shared, float(k) * h, rows, scratch);
         for (int i = 0; i < tile.count; i++) {
             const Matrix m = step_matrix(rows, i, h), w = tile.whole[i];
-            tile.x[i] = tile.x[i] + h * rows.u[i];
-            tile.y[i] = tile.y[i] + h * rows.v[i];
+            tile.x[i] = fused(h, rows.u[i], tile.x[i]);
+            tile.y[i] = fused(h, rows.v[i], tile.y[i]);
             tile.det[i] *= determinant(m);
-            tile.whole[i] = {m.a * w.a + m.b * w.c, m.c * w.a + m.d * w.c, m.a * w.b + m.b * w.d,
-                             m.c * w.b + m.d * w.d};
+            tile.whole[i] = {fused(m.a, w.a, m.b * w.c), fused(m.c, w.a, m.d * w.c),
+                             fused(m.a, w.b, m.b * w.d), fused(m.c, w.b, m.d * w.d)};
         }
     }
 }
@@ -66,8 +66,8 @@ void endpoint(const Flow &flow, const float *shared, Tile &tile, Rows &rows, flo
         for (int i = 0; i < tile.count; i++) rows.add(tile.row[i], tile.x[i], tile.y[i]);
         pass<false>(flow.velocity, shared, float(k) * h, rows, scratch);
         for (int i = 0; i < tile.count; i++) {
-            tile.x[i] = tile.x[i] + h * rows.u[i];
-            tile.y[i] = tile.y[i] + h * rows.v[i];
+            tile.x[i] = fused(h, rows.u[i], tile.x[i]);
+            tile.y[i] = fused(h, rows.v[i], tile.y[i]);
         }
     }
 }
@@ -80,8 +80,8 @@ void backward(const Flow &flow, const float *shared, Tile &tile, Rows &rows, flo
         for (int i = 0; i < tile.count; i++) rows.add(tile.row[i], tile.x[i], tile.y[i]);
         pass<true>(flow.velocity, shared, float(k) * h, rows, scratch);
         for (int i = 0; i < tile.count; i++) {
-            tile.x[i] = tile.x[i] - h * rows.u[i];
-            tile.y[i] = tile.y[i] - h * rows.v[i];
+            tile.x[i] = fused(-h, rows.u[i], tile.x[i]);
+            tile.y[i] = fused(-h, rows.v[i], tile.y[i]);
             tile.det[i] /= determinant(step_matrix(rows, i, -h));
         }
     }

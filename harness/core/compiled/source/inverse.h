@@ -14,6 +14,7 @@ namespace {
 
 constexpr float TOLERANCE = 1.0f / (1 << 19);  // of a step's end, relative to the places
 constexpr int ROUNDS = 24;                     // of Newton's method, with halved steps among them
+constexpr int HISTORY = 4;                     // velocities that are extrapolated
 constexpr int CHEAP = 3;                       // passes without derivatives at most
 
 struct Search {
@@ -26,7 +27,7 @@ struct Search {
     float rx[TILE], ry[TILE];          // what the end lacks
     Matrix m[TILE];                    // the step's derivatives there
     Matrix before[TILE];               // those of the step that was inverted before
-    float u[3][TILE], v[3][TILE];      // velocities of the steps inverted before, the last first
+    float u[HISTORY][TILE], v[HISTORY][TILE];  // velocities at the places after, the nearest first
     float shrink[TILE];                // what a cheap pass left of the error, the last time
     bool straight[TILE];               // the last guess was near enough for no cheap pass
 };
@@ -52,9 +53,13 @@ void explicit_guess(const Flow &flow, const float *shared, int k, Search &s, int
     pass<false>(flow.velocity, shared, float(k + 1) * h, s.rows, scratch);
     for (int j = 0; j < count; j++) {
         const int i = s.todo[j];
-        s.x[i] = s.tile.x[i] - h * s.rows.u[j];
-        s.y[i] = s.tile.y[i] - h * s.rows.v[j];
+        s.x[i] = fused(-h, s.rows.u[j], s.tile.x[i]);
+        s.y[i] = fused(-h, s.rows.v[j], s.tile.y[i]);
         set_goal(s, i);
+        if (k + 1 == flow.steps) {
+            s.u[0][i] = s.rows.u[j];
+            s.v[0][i] = s.rows.v[j];
+        }
     }
 }
 
@@ -78,8 +83,8 @@ void newton(const Flow &flow, const float *shared, int k, Search &s, int count, 
         for (int j = 0; j < count; j++) {
             const int i = s.todo[j];
             const float x = s.rows.x[j], y = s.rows.y[j];
-            const float rx = s.tile.x[i] - (x + h * s.rows.u[j]);
-            const float ry = s.tile.y[i] - (y + h * s.rows.v[j]);
+            const float rx = s.tile.x[i] - fused(h, s.rows.u[j], x);
+            const float ry = s.tile.y[i] - fused(h, s.rows.v[j], y);
             const float away = size(rx, ry);
             if (round == 0) s.straight[i] &= away <= s.goal[i];
             // So compared, a nan is no better.
@@ -104,20 +109,23 @@ void newton(const Flow &flow, const float *shared, int k, Search &s, int count, 
 // From the extrapolated velocity, by the derivatives of the step before; into s.x, s.y.
 void cheap_guess(const Flow &flow, const float *shared, int k, Search &s, float *scratch) {
     const float h = 1.0f / float(flow.steps);
-    const int known = flow.steps - 1 - k;
+    const int known = flow.steps - k;
     int count = 0;
     for (int i = 0; i < s.tile.count; i++) {
         const float (*u)[TILE] = s.u, (*v)[TILE] = s.v;
-        float gx = u[0][i], gy = v[0][i];
+        float gx, gy;
         if (known == 2) {
-            gx = 2.0f * gx - u[1][i];
-            gy = 2.0f * gy - v[1][i];
-        } else if (known > 2) {
-            gx = 3.0f * (gx - u[1][i]) + u[2][i];
-            gy = 3.0f * (gy - v[1][i]) + v[2][i];
+            gx = fused(2.0f, u[0][i], -u[1][i]);
+            gy = fused(2.0f, v[0][i], -v[1][i]);
+        } else if (known == 3) {
+            gx = fused(3.0f, u[0][i] - u[1][i], u[2][i]);
+            gy = fused(3.0f, v[0][i] - v[1][i], v[2][i]);
+        } else {
+            gx = fused(4.0f, u[0][i] + u[2][i], -fused(6.0f, u[1][i], u[3][i]));
+            gy = fused(4.0f, v[0][i] + v[2][i], -fused(6.0f, v[1][i], v[3][i]));
         }
-        s.x[i] = s.tile.x[i] - h * gx;
-        s.y[i] = s.tile.y[i] - h * gy;
+        s.x[i] = fused(-h, gx, s.tile.x[i]);
+        s.y[i] = fused(-h, gy, s.tile.y[i]);
         set_goal(s, i);
         s.left[i] = INFINITY;
         if (!s.straight[i]) s.todo[count++] = i;
@@ -132,8 +140,8 @@ void cheap_guess(const Flow &flow, const float *shared, int k, Search &s, float 
         int more = 0;
         for (int j = 0; j < count; j++) {
             const int i = s.todo[j];
-            const float rx = s.tile.x[i] - (s.x[i] + h * s.rows.u[j]);
-            const float ry = s.tile.y[i] - (s.y[i] + h * s.rows.v[j]);
+            const float rx = s.tile.x[i] - fused(h, s.rows.u[j], s.x[i]);
+            const float ry = s.tile.y[i] - fused(h, s.rows.v[j], s.y[i]);
             const float away = size(rx, ry);
             if (!(away < 0.5f * s.left[i])) continue;
             if (round)
@@ -181,7 +189,7 @@ void invert(const Flow &flow, const float *shared, Search &s, float *scratch) {
             float dx, dy;
             solve(s.m[i], s.rx[i], s.ry[i], dx, dy);
             const float x = s.x[i] + dx, y = s.y[i] + dy;
-            for (int j = 2; j > 0; j--) {
+            for (int j = HISTORY - 1; j > 0; j--) {
                 s.u[j][i] = s.u[j - 1][i];
                 s.v[j][i] = s.v[j - 1][i];
             }

@@ -45,6 +45,20 @@ INLINE Floats square_root(Floats v) {
 #endif
 }
 
+// a b + c, rounded once: said, where a compiler that chooses would round rows differently.
+INLINE Floats fused(Floats a, Floats b, Floats c) {
+#if WIDTH == 16 && defined(__AVX512F__)
+    return (Floats)_mm512_fmadd_ps((__m512)a, (__m512)b, (__m512)c);
+#elif WIDTH == 8 && defined(__FMA__)
+    return (Floats)_mm256_fmadd_ps((__m256)a, (__m256)b, (__m256)c);
+#else
+    for (int i = 0; i < WIDTH; i++) c[i] = __builtin_fmaf(a[i], b[i], c[i]);
+    return c;
+#endif
+}
+
+INLINE float fused(float a, float b, float c) { return __builtin_fmaf(a, b, c); }
+
 // Nearest whole number of |v| < 2^22.
 INLINE Floats nearest(Floats v) {
     const Floats magic = all(12582912.0f);  // 1.5 * 2^23

@@ -51,7 +51,7 @@ template <int ACTIVATION, bool DUAL> INLINE void activate(Floats *s, float slope
     if (ACTIVATION == SILU) {
         const Floats gate = logistic(s[0]);
         s[0] = s[0] * gate;
-        bend = gate + s[0] * (1.0f - gate);
+        bend = fused(s[0], 1.0f - gate, gate);
     } else {
         bend = s[0] > 0.0f ? all(1.0f) : all(slope);
         s[0] = activated<RELU>(s[0], slope);
@@ -105,11 +105,12 @@ INLINE void triple_layer(const Layer &l, const float *x, int stride, int triples
     }
 }
 
-// The first layer's activations. `shared` is what the condition adds, TILE floats a neuron.
+// The first layer's activations. `shared` is what the condition adds, TILE floats a neuron, and
+// `time` what the time does.
 template <int ACTIVATION, bool DUAL>
-INLINE void first_layer(const Velocity &net, const float *shared, const int *index, const float *px,
-                        const float *py, float t, int stride, int triples, float *to) {
-    const float *wx = net.place, *wy = wx + net.width, *wt = wy + net.width;
+INLINE void first_layer(const Velocity &net, const float *shared, const float *time, const int *index,
+                        const float *px, const float *py, int stride, int triples, float *to) {
+    const float *wx = net.place, *wy = wx + net.width;
     constexpr int PACKETS_OF_ROWS = DUAL ? 1 : 3;
     for (int c = 0; c < triples; c++) {
         const int row = c * PACKETS_OF_ROWS * WIDTH;
@@ -138,7 +139,7 @@ INLINE void first_layer(const Velocity &net, const float *shared, const int *ind
                     there = load(from + at[0]);
                 else
                     for (int l = 0; l < WIDTH; l++) there[l] = from[at[l]];
-                s[i] = wx[j] * x[i] + (wy[j] * y[i] + (there + wt[j] * t));
+                s[i] = fused(all(wx[j]), x[i], fused(all(wy[j]), y[i], there + time[j]));
             }
             if (DUAL) {
                 s[1] = wx[j] * sx;
@@ -151,8 +152,13 @@ INLINE void first_layer(const Velocity &net, const float *shared, const int *ind
     }
 }
 
+// Neurons of the widest layer; the last one has two.
+INLINE int widest(const Velocity &net) { return net.width > 2 ? net.width : 2; }
+
 // Floats of scratch that a pass needs.
-INLINE size_t pass_floats(const Velocity &net) { return size_t(2) * net.width * TRIPLES * 3 * WIDTH; }
+INLINE size_t pass_floats(const Velocity &net) {
+    return size_t(2) * widest(net) * TRIPLES * 3 * WIDTH + net.width;
+}
 
 template <int ACTIVATION, bool DUAL>
 void pass_of(const Velocity &net, const float *shared, float t, Rows &rows, float *scratch) {
@@ -162,12 +168,15 @@ void pass_of(const Velocity &net, const float *shared, float t, Rows &rows, floa
         rows.index[i] = rows.index[rows.count - 1];
         rows.x[i] = rows.y[i] = 0.0f;
     }
+    const int stride = TRIPLES * 3 * WIDTH;
+    float *time = scratch + 2 * widest(net) * stride;
+    for (int j = 0; j < net.width; j++) time[j] = net.place[2 * net.width + j] * t;
     for (int c = 0; c < whole; c += TRIPLES) {
-        const int triples = whole - c < TRIPLES ? whole - c : TRIPLES, stride = TRIPLES * 3 * WIDTH;
+        const int triples = whole - c < TRIPLES ? whole - c : TRIPLES;
         const int start = c * EACH;
-        float *x = scratch, *y = scratch + net.width * stride;
-        first_layer<ACTIVATION, DUAL>(net, shared, rows.index + start, rows.x + start, rows.y + start,
-                                      t, stride, triples, x);
+        float *x = scratch, *y = scratch + widest(net) * stride;
+        first_layer<ACTIVATION, DUAL>(net, shared, time, rows.index + start, rows.x + start,
+                                      rows.y + start, stride, triples, x);
         for (int i = 0; i + 1 < net.layers; i++) {
             triple_layer<ACTIVATION, DUAL, false>(net.layer[i], x, stride, triples, y, net.slope);
             float *kept = x;
