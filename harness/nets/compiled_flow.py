@@ -78,8 +78,8 @@ class PackedFlow:
     ) -> Columns:
         """Where Euler's steps lead from ``x``, in the rows that are ``active``.
 
-        Computed when it returns: x and y; but for ENDPOINT the determinant of the map; for FORWARD the derivatives by x and
-        by y, for INVERSE 1 where the start was found and 0 where not.
+        Computed when it returns: x and y; but for ENDPOINT the determinant of the map; for
+        FORWARD the derivatives by x and by y, for INVERSE 1 where the start was found, else 0.
         """
         extra = list(x) if active is None else [*x, dr.select(active, type(x[0])(1), 0)]
         raw = [*encoded.raw, *extra]
