@@ -46,9 +46,9 @@ def works(method: Method, condition: Tensor, u: Tensor) -> dict[str, dict[str, W
     for what, arguments in (("sample", (condition, u)), ("pdf", (condition, wo))):
         run = getattr(method, what)
 
-        def in_dr_jit(run: Work = run, arguments: tuple = arguments) -> None:
+        def in_dr_jit(run: Work = run, arguments: tuple = arguments) -> object:
             with without_kernels():
-                run(*arguments)
+                return run(*arguments)
 
         ways: dict[str, Work] = {"Dr.Jit": in_dr_jit}
         if not library.why_not():
