@@ -8,7 +8,6 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, ClassVar
 
-import drjit as dr
 import torch
 from torch import Tensor
 
@@ -21,22 +20,22 @@ from harness.fitting import flow_matching as losses
 from harness.fitting.drawn import Drawn
 from harness.fitting.flow_in_torch import FlowInTorch
 from harness.fitting.flow_steadiness import Steadiness, steadiness
+from harness.fitting.phases import joined
 from harness.fitting.precision import PRECISIONS, checked_precision, round_weights
 from harness.fitting.steady import SteadyMethod
 from harness.fitting.targets import Targets
 from harness.fitting.train import minimise
-from harness.nets import defensive, discrete_flow_columns, domains
+from harness.nets import defensive, discrete_flow_columns, domains, flow_sampling
 from harness.nets.activations import ACTIVATIONS
 from harness.nets.conditional_flow import ColumnConditioned, ConditionalFlow
-from harness.nets.coupling import uniforms_of_normal, unit_normal_columns
+from harness.nets.coupling import uniforms_of_normal
 from harness.nets.discrete_flow import DiscreteFlow
 from harness.nets.extremes import FAR, held
-from harness.nets.mixture_base import BASES, ColumnMixture
+from harness.nets.mixture_base import BASES
 from harness.nets.solvers import SOLVERS
+from harness.nets.velocity import Shared
 
 TRAININGS = ("matching", "likelihood")
-_FELT = 2.0**-13
-"""Of a base point's deviations: a shift from which the determinant is another by some 1e-4."""
 
 
 class FlowMatching(SteadyMethod, ColumnMethod):
@@ -184,7 +183,7 @@ class FlowMatching(SteadyMethod, ColumnMethod):
             )
         round_weights(self.module, self.precision)
         self.refuse_unsteady()
-        return _joined(reports, phases)
+        return joined(reports, phases)
 
     def phases(self) -> list[str]:
         """What a fit does, in order."""
@@ -282,84 +281,17 @@ class FlowMatching(SteadyMethod, ColumnMethod):
     # --- sampling ----------------------------------------------------------------------
 
     def sample_columns(self, c: Columns, u: Columns) -> tuple[Float, Float, Float]:
-        """See :meth:`ColumnMethod.sample_columns`.
-
-        The rounding of the direction, which near the rim moves its place in the plane, is taken
-        back to the base by the map's Jacobian: the density is the one at the rounded direction.
-        Where it moves by more than ``_FELT``, the map is run again from there, for its determinant.
-        """
-        net, flow = self.module, self.flow()
-        at = net.at_columns(c)
-        elsewhere, pick = self._outside(at.base, u)
-        x0 = at.base.place(unit_normal_columns(u), pick)
-        moved = discrete_flow_columns.forward(flow, x0, at.shared)
-        wo = net.direction_columns(at, moved.x)
-        if elsewhere is not None:
-            there = defensive.uniform_disk_columns(u)
-            wo = [dr.select(elsewhere, a, b) for a, b in zip(there, wo, strict=True)]
-        place, slope = net.place_columns(at, wo)
-        origin = _taken_back(x0, place, moved)
-        felt = sum(dr.square(a - b) for a, b in zip(origin, x0, strict=True)) > _FELT**2
-        if elsewhere is not None:
-            felt &= ~elsewhere
-        again = discrete_flow_columns.forward(flow, origin, at.shared, felt)
-        origin = [
-            dr.select(felt, a, b)
-            for a, b in zip(_taken_back(origin, place, again), origin, strict=True)
-        ]
-        det = dr.select(felt, again.det, moved.det)
-        if elsewhere is not None:
-            other = discrete_flow_columns.invert(flow, place, at.shared, elsewhere)
-            det = dr.select(elsewhere, other.det, det)
-            origin = [dr.select(elsewhere, a, b) for a, b in zip(other.x, origin, strict=True)]
-        return *wo, self._mixed(at.base.pdf(origin) * (slope / dr.abs(det)), wo, at.base)
+        """See :meth:`ColumnMethod.sample_columns` and :func:`flow_sampling.sample`."""
+        net = self.module
+        return flow_sampling.sample(net, self.flow(), net.at_columns(c), u)
 
     def pdf_columns(self, c: Columns, wo: Columns) -> Float:
         """See :meth:`ColumnMethod.pdf_columns`; not a number where no origin was found."""
         return self._density(self.module.at_columns(c), wo)
 
     def _density(self, at: ColumnConditioned, wo: Columns) -> Float:
-        place, slope = self.module.place_columns(at, wo)
-        origin = self.origin_columns(place, at.shared)
-        pdf = at.base.pdf(origin.x) * (slope / dr.abs(origin.det))
-        # Where there is no place there is no sample, and nothing to be found.
-        pdf = dr.select(origin.found | (slope == 0), pdf, dr.nan)
-        return self._mixed(pdf, wo, at.base)
+        return flow_sampling.density(self.module, self.flow(), at, wo, self.back)
 
-    def origin_columns(self, place: Columns, shared: Columns) -> Any:
+    def back(self, flow: DiscreteFlow, place: Columns, shared: Shared) -> Any:
         """Where ``place`` comes from, for :meth:`pdf_columns`."""
-        return discrete_flow_columns.invert(self.flow(), place, shared)
-
-    def _outside(self, base: ColumnMixture, u: Columns) -> tuple[Any, Float]:
-        """Which rows are the uniform share's beside the flow (None: no such share), and the uniform
-        that picks a lobe in the others."""
-        share = base.share
-        if self.domain == "plane" or (isinstance(share, float) and share == 0):
-            return None, u[2]
-        return u[2] < share, (u[2] - share) / (1 - share)
-
-    def _mixed(self, pdf: Float, wo: Columns, base: ColumnMixture) -> Float:
-        return pdf if self.domain == "plane" else defensive.mixed_columns(pdf, wo, base.share)
-
-
-def _taken_back(x: Columns, place: Columns, moved: discrete_flow_columns.ColumnMoved) -> Columns:
-    """What the map takes to ``place``, which is near to where it took ``x``."""
-    away = [a - b for a, b in zip(place, moved.x, strict=True)]
-    shift = discrete_flow_columns.solve(moved.jacobian, away)
-    return [a + b for a, b in zip(x, shift, strict=True)]
-
-
-def _joined(reports: list[FitReport], phases: list[str]) -> FitReport:
-    """One report of all phases."""
-    whole = FitReport(
-        steps=sum(r.steps for r in reports),
-        parameters=reports[-1].parameters,
-        data_seconds=reports[0].data_seconds,
-        optimise_seconds=sum(r.optimise_seconds for r in reports),
-        loss=[value for r in reports for value in r.loss],
-        part_seconds=reports[0].part_seconds if len(reports) == 1 else [],
-    )
-    spent = [f"{p} {r.optimise_seconds:.1f} s" for p, r in zip(phases, reports, strict=True)]
-    notes = [", ".join(spent)] if len(reports) > 1 else []
-    whole.notes = "; ".join([*notes, *filter(None, [reports[0].notes])])
-    return whole
+        return discrete_flow_columns.invert(flow, place, shared)

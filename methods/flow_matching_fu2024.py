@@ -16,6 +16,8 @@ from harness.core.protocol.errors import InputError, nearest
 from harness.core.protocol.material import Material
 from harness.core.protocol.method import Budget, FitReport, Knob
 from harness.nets.conditional_flow import ConditionalFlow
+from harness.nets.discrete_flow import DiscreteFlow
+from harness.nets.velocity import Shared
 
 STATES = ("rectify", "diffusion")
 QUERIES = ("inverse", "published")
@@ -63,11 +65,11 @@ class FlowMatchingFu2024(FlowMatchingPublished):
         self.folder, self.weights, self.query = Path(folder), weights, query
         self.shape |= {"framed": False, "bounded": False, "base_activation": "silu"}
 
-    def origin_columns(self, place: Columns, shared: Columns) -> Any:
-        """See :meth:`FlowMatching.origin_columns`."""
+    def back(self, flow: DiscreteFlow, place: Columns, shared: Shared) -> Any:
+        """See :meth:`FlowMatching.back`."""
         if self.query == "inverse":
-            return FlowMatching.origin_columns(self, place, shared)
-        return super().origin_columns(place, shared)
+            return FlowMatching.back(self, flow, place, shared)
+        return super().back(flow, place, shared)
 
     def _log_prob(self, net: ConditionalFlow, condition: Tensor, wo: Tensor) -> Tensor:
         if self.query == "inverse":

@@ -10,9 +10,11 @@ from torch import Tensor
 from harness._methods.flow_matching import FlowMatching
 from harness.core.columns.bridge import Columns, Float
 from harness.core.columns.reflectance import reflectance_columns
-from harness.nets import defensive, discrete_flow_columns
+from harness.nets import discrete_flow_columns, flow_sampling
 from harness.nets.conditional_flow import ConditionalFlow
 from harness.nets.coupling import unit_normal_columns
+from harness.nets.discrete_flow import DiscreteFlow
+from harness.nets.velocity import Shared
 
 
 class FlowMatchingPublished(FlowMatching):
@@ -47,17 +49,15 @@ class FlowMatchingPublished(FlowMatching):
             return super().sample_columns(c, u)
         net, flow = self.module, self.flow()
         at = net.at_columns(c)
-        elsewhere, pick = self._outside(at.base, u)
+        elsewhere, pick = flow_sampling.outside(net, at.base, u)
         x0 = at.base.place(unit_normal_columns(u), pick)
-        wo = net.direction_columns(at, discrete_flow_columns.endpoint(flow, x0, at.shared))
-        if elsewhere is not None:
-            there = defensive.uniform_disk_columns(u)
-            wo = [dr.select(elsewhere, a, b) for a, b in zip(there, wo, strict=True)]
+        end = discrete_flow_columns.endpoint(flow, x0, at.shared)
+        wo = flow_sampling.directions(net, at, end, elsewhere, u)
         return *wo, self._density(at, wo)
 
-    def origin_columns(self, place: Columns, shared: Columns) -> Any:
-        """See :meth:`FlowMatching.origin_columns`: by explicit steps back."""
-        return discrete_flow_columns.backward(self.flow(), place, shared)
+    def back(self, flow: DiscreteFlow, place: Columns, shared: Shared) -> Any:
+        """See :meth:`FlowMatching.back`: by explicit steps."""
+        return discrete_flow_columns.backward(flow, place, shared)
 
     def _log_prob(self, net: ConditionalFlow, condition: Tensor, wo: Tensor) -> Tensor:
         at = net.at(condition)

@@ -23,6 +23,7 @@ from harness.fitting.flow_matching import in_rows
 from harness.nets import discrete_flow_columns, domains
 from harness.nets.activations import ACTIVATIONS
 from harness.nets.discrete_flow import DiscreteFlow, determinant
+from harness.nets.encoding import Encoded
 from harness.nets.mixture_base import BASES, MixtureBase
 from harness.nets.solvers import SOLVERS
 from harness.nets.velocity import Velocity
@@ -111,7 +112,7 @@ def test_columns_take_the_same_steps(solver, steps):
     flow = DiscreteFlow(field(), steps, solver)
     encoded, x = drawn(500)
     shared = flow.velocity.shared(encoded)
-    columns = flow.velocity.shared_columns(columns_of(encoded))
+    columns = flow.velocity.shared_columns(Encoded.plain(columns_of(encoded)))
     expected, back = flow.forward(x, shared), flow.backward(x, shared)
     moved = discrete_flow_columns.forward(flow, columns_of(x[:, 0]), columns)
     origin = discrete_flow_columns.invert(flow, moved.x, columns)
@@ -207,7 +208,7 @@ def test_bases_integrate_to_one_and_columns_agree(kind, own_share):
     density = base(encoded).log_prob(grid.expand(3, -1, -1)).exp()
     torch.testing.assert_close(density.sum(1) * 0.05**2, torch.ones(3), rtol=0, atol=1e-3)
     rows = encoded.repeat_interleave(len(grid), 0)
-    columns = base.columns(columns_of(rows)).pdf(columns_of(grid.repeat(3, 1)))
+    columns = base.columns(Encoded.plain(columns_of(rows))).pdf(columns_of(grid.repeat(3, 1)))
     got = tensor_of(columns, rows=3 * len(grid)).view(3, -1)
     torch.testing.assert_close(got, density, rtol=1e-4, atol=1e-7)
 
@@ -267,7 +268,7 @@ def test_at_the_rim_a_sample_has_the_density_of_a_query(monkeypatch):
         return ((pdf - asked).abs() / asked)[there]
 
     assert (off() > 1e-4).double().mean() <= 1e-3
-    monkeypatch.setattr("harness._methods.flow_matching._FELT", torch.inf)
+    monkeypatch.setattr("harness.nets.flow_sampling.FELT", torch.inf)
     assert (off() > 1e-4).double().mean() > 1e-2
 
 

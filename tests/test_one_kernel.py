@@ -15,7 +15,7 @@ from harness.mitsuba_runtime import variant
 
 mi = variant.use("cpu")
 
-from harness.bench import profile  # noqa: E402  a variant has to be set first
+from harness.bench import profile, ratios  # noqa: E402  a variant has to be set first
 from harness.rendering import meter  # noqa: E402
 from harness.rendering.prepared import prepare  # noqa: E402
 from harness.scenes import registry as scenes  # noqa: E402
@@ -80,3 +80,21 @@ def test_parts_of_a_sample(name):
     assert (parts.network > 0) is compiled
     shown = parts.to_columns + parts.to_rows + parts.network + parts.kernels + parts.fixed
     assert parts.rest == pytest.approx(parts.whole - shown)
+
+
+def test_ratios_are_of_the_same_samples():
+    """By compiled kernels, by Dr.Jit and by PyTorch; how long each takes decides nothing."""
+    material = rough()
+    method = ready("flow-matching", material)
+    generator = torch.Generator().manual_seed(1)
+    condition = material.conditions(200, generator, "cpu")
+    found = ratios.works(method, condition, torch.rand(200, 3, generator=generator))
+    ways = {"Dr.Jit", "PyTorch"} | ({"compiled"} if not library.why_not() else set())
+    assert list(found) == ["sample", "pdf"] and all(set(w) == ways for w in found.values())
+    for work in found.values():
+        results = [way() for way in work.values()]
+        for other in results[1:]:
+            for a, b in zip(results[0], other, strict=True):
+                torch.testing.assert_close(a, b, rtol=1e-4, atol=1e-4)
+    seconds = ratios.measure(found["pdf"], 2)
+    assert set(seconds) == ways and all(len(s) == 2 and (s > 0).all() for s in seconds.values())

@@ -105,7 +105,7 @@ def run(
     u = torch.rand(BATCH, 3, generator=generator)
     cells = []
     for name in names or registry.names():
-        method = _fitted(name, material, steps, notify)
+        method = fitted(name, material, steps, notify)
         if method is None:
             continue
         notify(f"profiling {name}")
@@ -134,7 +134,7 @@ def run(
     )
 
 
-def _fitted(
+def fitted(
     name: str, material: Material, steps: int, notify: Callable[[str], None]
 ) -> ColumnMethod | None:
     """The method after a short fit; None with a note where it cannot be taken apart."""

@@ -26,22 +26,32 @@ def register(app: typer.Typer) -> None:
         profile: Annotated[
             bool, typer.Option("--profile", help="Where a sample's nanoseconds go, on the CPU.")
         ] = False,
+        ratios: Annotated[
+            bool,
+            typer.Option(
+                "--ratios", help="Compiled kernels beside Dr.Jit and PyTorch, on the CPU."
+            ),
+        ] = False,
     ) -> None:
         """Time samples, pdf queries and renders, beside Mitsuba's own path tracer."""
         from rich.table import Table
 
         from harness.bench import effect_overhead
         from harness.bench import profile as profiling
+        from harness.bench import ratios as beside
         from harness.bench.adapters import run
         from harness.core.protocol.errors import InputError
         from harness.core.terminal import Screen
 
-        if profile and device != "cpu":
-            raise InputError(f"bench --profile: device is '{device}'; expected cpu")
+        for wanted, option in ((profile, "--profile"), (ratios, "--ratios")):
+            if wanted and device != "cpu":
+                raise InputError(f"bench {option}: device is '{device}'; expected cpu")
         console = Screen()
         with console.status("preparing") as status:
             if effects:
                 rows = effect_overhead.run(device, rounds, status.update)
+            elif ratios:
+                rows = beside.run(methods, material, rounds, steps, status.update)
             elif profile:
                 rows = profiling.run(methods, material, rounds, steps, status.update)
             else:

@@ -45,6 +45,16 @@ def kernels() -> str:
     return f"compiled for {made.name}"
 
 
+def kernel_seconds() -> dict[str, float]:
+    """What compiling and loading the kernels took in this process; empty where there are none."""
+    from harness.core.compiled import library
+
+    made = library.found()
+    if isinstance(made, str):
+        return {}
+    return {"build": round(made.build_seconds, 3), "load": round(made.load_seconds, 3)}
+
+
 def versions(packages: tuple[str, ...] = COUNTED_VERSIONS, local: bool = False) -> dict[str, str]:
     """Installed versions, read without importing the packages.
 

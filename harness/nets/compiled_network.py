@@ -23,7 +23,7 @@ MOST_ROWS = 1 << 23
 is an array, gigabytes of them."""
 _OUTPUTS, _WARP, _UNWARP, _DRAW, _NOTHING = range(5)
 _USES = ("outputs", "warp", "unwarp", "draw", "nothing")
-_ACTIVATIONS = {"relu": 0, "leaky_relu": 0, "silu": 1}
+ACTIVATIONS = {"relu": 0, "leaky_relu": 0, "silu": 1}
 
 
 class _Input(ctypes.Structure):
@@ -33,14 +33,18 @@ class _Input(ctypes.Structure):
     ]
 
 
-class _Layer(ctypes.Structure):
+class Layer(ctypes.Structure):
+    """Of the kernels' source; see :func:`pack`."""
+
     _fields_ = [
         *((name, ctypes.c_int32) for name in ("inputs", "outputs")),
         *((name, ctypes.c_void_p) for name in ("weights", "biases")),
     ]
 
 
-class _Network(ctypes.Structure):
+class Network(ctypes.Structure):
+    """Of the kernels' source."""
+
     _fields_ = [
         *((name, ctypes.c_int32) for name in ("columns", "encoded", "layers", "activation")),
         ("slope", ctypes.c_float),
@@ -49,14 +53,14 @@ class _Network(ctypes.Structure):
     ]
 
 
-def usable(x: Encoded, *others: Float, widths: Sequence[int], bins: int = 0) -> Library | None:
+def usable(x: Encoded, *others: Float, widths: Sequence[int] = (), bins: int = 0) -> Library | None:
     """The kernels, if they can run a network of these ``widths`` on these columns now.
 
     Not inside of what Dr.Jit records to run later, where columns have no values yet; not for
     derivatives by the columns, which only Dr.Jit has; not on a GPU.
     """
     raw = [*x.raw, *others]
-    if max(len(raw), *widths) > MOST or bins > MOST_BINS:
+    if max((len(raw), *widths)) > MOST or bins > MOST_BINS:
         return None
     if max(dr.width(column) for column in raw) > MOST_ROWS:
         return None
@@ -78,19 +82,12 @@ class Packed:
         self, library: Library, numbers: Sequence[np.ndarray], activation: str, slope: float | None
     ):
         self.library = library
-        self.activation, self.slope = _ACTIVATIONS[activation], slope or 0.0
+        self.activation, self.slope = ACTIVATIONS[activation], slope or 0.0
         pairs = list(zip(numbers[0::2], numbers[1::2], strict=True))
-        self.layers = (_Layer * len(pairs))()
+        self.layers = (Layer * len(pairs))()
         self._kept: list[np.ndarray] = []
         for layer, (weight, bias) in zip(self.layers, pairs, strict=True):
-            outputs, inputs = weight.shape
-            packed = np.empty(weight.size, np.float32)
-            weight = np.ascontiguousarray(weight, np.float32)
-            bias = np.array(bias, np.float32)
-            library.pack(_at(weight), ctypes.c_int32(inputs), ctypes.c_int32(outputs), _at(packed))
-            layer.inputs, layer.outputs = inputs, outputs
-            layer.weights, layer.biases = packed.ctypes.data, bias.ctypes.data
-            self._kept += [packed, bias]
+            self._kept += pack(library, layer, weight, bias)
         self.outputs = pairs[-1][0].shape[0]
         sizes = [pairs[0][0].shape[1], *(weight.shape[0] for weight, _ in pairs)]
         self.name = f"network {'-'.join(map(str, sizes))} {activation}"
@@ -124,12 +121,12 @@ class Packed:
         out = empty(array, rows, outputs)
         places = addresses([*raw, *out])
         inputs = self._inputs(x)
-        network = _Network(
+        network = Network(
             len(x.raw), x.width, len(self.layers), self.activation, self.slope, x.as_it_is,
             ctypes.addressof(inputs), ctypes.addressof(self.layers),
         )  # fmt: skip
         wide = (ctypes.c_uint8 * len(raw))(*(dr.width(column) != 1 for column in raw))
-        columns = _pointers(places[: len(raw)]), wide, _pointers(places[len(raw) :])
+        columns = pointers(places[: len(raw)]), wide, pointers(places[len(raw) :])
 
         def run(use: int) -> None:
             self.library.network(
@@ -160,11 +157,29 @@ class Packed:
             (len(g.columns), g.frequencies, tuple(g.mean), tuple(g.scale)) for g in x.groups
         )
         if self._encoding[0] != shape:
-            self._encoding = shape, _inputs(x)
+            self._encoding = shape, encoding(x)
         return self._encoding[1]
 
 
-def _inputs(x: Encoded) -> ctypes.Array:
+def pack(
+    library: Library, layer: Layer, weight: np.ndarray, bias: np.ndarray, for_flow: bool = False
+) -> list[np.ndarray]:
+    """Fills in ``layer`` with weights in the order that the kernels read them.
+
+    Returns what it points to, to be kept.
+    """
+    outputs, inputs = weight.shape
+    packed = np.empty(weight.size, np.float32)
+    weight = np.ascontiguousarray(weight, np.float32)
+    bias = np.array(bias, np.float32)
+    sizes = (ctypes.c_int32(number) for number in (inputs, outputs, for_flow))
+    library.pack(_at(weight), *sizes, _at(packed))
+    layer.inputs, layer.outputs = inputs, outputs
+    layer.weights, layer.biases = packed.ctypes.data, bias.ctypes.data
+    return [packed, bias]
+
+
+def encoding(x: Encoded) -> ctypes.Array:
     """How each raw column is encoded."""
     made, place = [], 0
     for group in x.groups:
@@ -183,5 +198,6 @@ def _at(numbers: np.ndarray) -> ctypes.c_void_p:
     return ctypes.c_void_p(numbers.ctypes.data)
 
 
-def _pointers(places: list[int]) -> ctypes.Array:
+def pointers(places: list[int]) -> ctypes.Array:
+    """An array of addresses."""
     return (ctypes.c_void_p * len(places))(*places)

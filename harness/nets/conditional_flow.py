@@ -12,9 +12,9 @@ from harness.core.columns.bridge import Columns, Float
 from harness.core.protocol.material import Material
 from harness.nets import defensive, domains
 from harness.nets.discrete_flow import ROUNDS, DiscreteFlow
-from harness.nets.encoding import ConditionEncoder
+from harness.nets.encoding import ConditionEncoder, Encoded, Group
 from harness.nets.mixture_base import ColumnMixture, Mixture, MixtureBase
-from harness.nets.velocity import Velocity
+from harness.nets.velocity import Shared, Velocity
 
 _FEATURES = 8.0
 
@@ -35,7 +35,7 @@ class ColumnConditioned(NamedTuple):
     """The same over columns."""
 
     base: ColumnMixture
-    shared: Columns
+    shared: Shared
     mean: Columns | None
     log_sigma: Columns | None
 
@@ -164,13 +164,21 @@ class ConditionalFlow(nn.Module):
 
     def at_columns(self, c: Columns) -> ColumnConditioned:
         """See :meth:`at`."""
-        encoded, n = self.encoder.columns(c), self.encoder.n_features
-        encoded[:n] = [_FEATURES * dr.tanh(v * (1 / _FEATURES)) for v in encoded[:n]]
+        encoded = self._encoded(c)
         base, shared = self.base.columns(encoded), self.velocity.shared_columns(encoded)
         if not self.framed:
             return ColumnConditioned(base, shared, None, None)
         mean, log_sigma = base.mean[-self.base.lobes], base.log_sigma[-self.base.lobes]
         return ColumnConditioned(base.framed(mean, log_sigma), shared, mean, log_sigma)
+
+    def _encoded(self, c: Columns) -> Encoded:
+        """See :meth:`encode`; sines and cosines are left to the networks."""
+        groups = self.encoder.encoded(c).groups
+        if not self.encoder.n_features:
+            return Encoded(groups)
+        features = Encoded(groups[:1]).inputs
+        features = [_FEATURES * dr.tanh(v * (1 / _FEATURES)) for v in features]
+        return Encoded((Group(features), *groups[1:]))
 
     def place_columns(self, at: ColumnConditioned, wo: Columns) -> tuple[Columns, Float]:
         """See :meth:`place`; the slope itself."""

@@ -1,4 +1,8 @@
-"""The steps of :mod:`harness.nets.discrete_flow` over columns, as loops inside one kernel."""
+"""The steps of :mod:`harness.nets.discrete_flow` over columns.
+
+By the compiled kernels where they can run them (Euler's method, columns that have values);
+otherwise as loops inside one kernel of Dr.Jit's.
+"""
 
 from __future__ import annotations
 
@@ -8,8 +12,11 @@ import drjit as dr
 
 from harness.core.columns.bridge import Columns, Float
 from harness.core.protocol import counting
+from harness.nets import compiled_flow
+from harness.nets.compiled_network import usable
 from harness.nets.discrete_flow import ROUNDS, DiscreteFlow
 from harness.nets.solvers import step
+from harness.nets.velocity import Shared
 
 _TOLERANCE = 2.0**-19
 """Of a step's end, relative to the places; a last step of Newton's squares it."""
@@ -32,6 +39,22 @@ class ColumnOrigin(NamedTuple):
     x: Columns
     det: Float
     found: Any
+
+
+def _compiled(
+    way: int, flow: DiscreteFlow, x: Columns, shared: Shared, active: Any = True
+) -> Columns | None:
+    """Of the compiled kernels; None where they cannot run it."""
+    if flow.solver != "euler" or not flow.velocity.compilable:
+        return None
+    masked = active is not True
+    encoded = shared.encoded
+    own = flow.velocity.layers[0].out_features
+    library = usable(encoded, *x, *([active] if masked else []), widths=(encoded.width, own))
+    if library is None:
+        return None
+    packed = flow.velocity.compiled(library)
+    return packed.run(way, flow.steps, encoded, x, active if masked else None)
 
 
 def _width(flow: DiscreteFlow, array: type[Float]) -> Float:
@@ -94,13 +117,15 @@ def one_dual(
     return out[:2], tuple(out[2:])
 
 
-def forward(flow: DiscreteFlow, x: Columns, shared: Columns, active: Any = True) -> ColumnMoved:
+def forward(flow: DiscreteFlow, x: Columns, shared: Shared, active: Any = True) -> ColumnMoved:
     """Where ``x`` leads, the determinant of the whole map there, and its derivatives.
 
     Rows that are not ``active`` stay where they are, and packets of rows without an active one
     cost nothing.
     """
-    array = type(shared[0])
+    if found := _compiled(compiled_flow.FORWARD, flow, x, shared, active):
+        return ColumnMoved(found[:2], found[2], tuple(found[3:]))
+    array, shared = type(shared.columns[0]), shared.columns
     index, mask = dr.uint32_array_t(array), dr.mask_t(array)
 
     def body(k: Any, active: Any, x: Float, y: Float, det: Float, *whole: Float) -> tuple:
@@ -115,9 +140,11 @@ def forward(flow: DiscreteFlow, x: Columns, shared: Columns, active: Any = True)
     return ColumnMoved([x, y], det, tuple(whole))
 
 
-def endpoint(flow: DiscreteFlow, x: Columns, shared: Columns) -> Columns:
+def endpoint(flow: DiscreteFlow, x: Columns, shared: Shared) -> Columns:
     """Where ``x`` leads, without a density."""
-    array = type(shared[0])
+    if found := _compiled(compiled_flow.ENDPOINT, flow, x, shared):
+        return found
+    array, shared = type(shared.columns[0]), shared.columns
 
     def body(k: Any, x: Float, y: Float) -> tuple:
         return k + 1, *one(flow, [x, y], k, shared)
@@ -128,9 +155,11 @@ def endpoint(flow: DiscreteFlow, x: Columns, shared: Columns) -> Columns:
     return [x, y]
 
 
-def backward(flow: DiscreteFlow, x: Columns, shared: Columns) -> ColumnOrigin:
+def backward(flow: DiscreteFlow, x: Columns, shared: Shared) -> ColumnOrigin:
     """**Not** the inverse: see :meth:`DiscreteFlow.backward`; ``det`` of the map it goes back."""
-    array = type(shared[0])
+    if done := _compiled(compiled_flow.BACKWARD, flow, x, shared):
+        return ColumnOrigin(done[:2], done[2], dr.mask_t(type(x[0]))(True))
+    array, shared = type(shared.columns[0]), shared.columns
 
     def body(k: Any, x: Float, y: Float, det: Float) -> tuple:
         (x, y), m = one_dual(flow, [x, y], k - 1, shared, back=True)
@@ -141,13 +170,28 @@ def backward(flow: DiscreteFlow, x: Columns, shared: Columns) -> ColumnOrigin:
     return ColumnOrigin([x, y], det, dr.mask_t(array)(True))
 
 
-def invert(flow: DiscreteFlow, x: Columns, shared: Columns, active: Any = True) -> ColumnOrigin:
+def invert(flow: DiscreteFlow, x: Columns, shared: Shared, active: Any = True) -> ColumnOrigin:
     """The start of what ends in ``x``, by Newton's method, step after step; and whether found.
 
     As :meth:`DiscreteFlow.invert`. Rows that are not ``active`` stay where they are, and packets of
     rows without an active one cost nothing.
     """
-    array = type(shared[0])
+    origin = _inverse_compiled(flow, x, shared, active) or _inverse(flow, x, shared, active)
+    if counting.wanted():
+        mask = dr.mask_t(type(x[0]))
+        counting.add("not inverted", dr.count(mask(active) & ~origin.found)[0])
+    return origin
+
+
+def _inverse_compiled(
+    flow: DiscreteFlow, x: Columns, shared: Shared, active: Any
+) -> ColumnOrigin | None:
+    done = _compiled(compiled_flow.INVERSE, flow, x, shared, active)
+    return None if done is None else ColumnOrigin(done[:2], done[2], done[3] != 0)
+
+
+def _inverse(flow: DiscreteFlow, x: Columns, shared: Shared, active: Any) -> ColumnOrigin:
+    array, shared = type(shared.columns[0]), shared.columns
     mask = dr.mask_t(array)
 
     def body(k: Any, x: Float, y: Float, det: Float, found: Any, active: Any) -> tuple:
@@ -159,8 +203,6 @@ def invert(flow: DiscreteFlow, x: Columns, shared: Columns, active: Any = True) 
     _, x, y, det, found, _ = _loop(
         start, lambda k, x, y, det, found, active: active & (k > 0), body, "flow inverse"
     )
-    if counting.wanted():
-        counting.add("not inverted", dr.count(mask(active) & ~found)[0])
     return ColumnOrigin([x, y], det, found)
 
 

@@ -20,6 +20,7 @@ from torch import Tensor, nn
 
 from harness.core.columns.bridge import Columns, Float
 from harness.nets import defensive, lobes
+from harness.nets.encoding import Encoded
 from harness.nets.mlp import MLP
 
 BASES = ("normal", "gaussian", "lobes")
@@ -177,9 +178,9 @@ class MixtureBase(nn.Module):
             part = torch.logaddexp(part, torch.full_like(part, math.log(least)))
         return part, rest
 
-    def columns(self, encoded: Columns) -> ColumnMixture:
+    def columns(self, encoded: Encoded) -> ColumnMixture:
         """The mixture over columns."""
-        array, n = type(encoded[-1]), self.lobes
+        array, n = type(encoded.raw[-1]), self.lobes
         out = [] if self.net is None else self.net.columns(encoded)
         raw = out[2 * n : 4 * n]
         raw = [lobes.log_sigma_columns(v) for v in raw] if self.bounded else raw

@@ -8,6 +8,11 @@ are one pass of three vectors.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
 import drjit as dr
 import drjit.nn
 import numpy as np
@@ -15,11 +20,27 @@ import torch
 from torch import Tensor, nn
 
 from harness.core.columns.bridge import Columns, Float
+from harness.core.compiled.library import Library
 from harness.core.protocol import counting
 from harness.nets import activations
+from harness.nets.compiled_flow import Numbers, PackedFlow
+from harness.nets.encoding import Encoded
 from harness.nets.looped import LoopedMatrix
 
 REACH = 8.0
+
+
+@dataclass(frozen=True)
+class Shared:
+    """What conditions are to a velocity: what they add to its first layer, when it is needed."""
+
+    velocity: Velocity
+    encoded: Encoded
+
+    @cached_property
+    def columns(self) -> Columns:
+        """What is added to the first layer, a column a neuron."""
+        return self.velocity.condition_columns(self.encoded.inputs)
 
 
 class Velocity(nn.Module):
@@ -54,8 +75,7 @@ class Velocity(nn.Module):
             # x is two inputs of many, and the ones that the field bends along.
             self.layers[0].weight[:, :2] *= 3
         self.activation, self.bounded = activation, bounded
-        self._packed: tuple[bytes, list, list] | None = None
-        self._loops: tuple[bytes, dict[int | str, LoopedMatrix]] | None = None
+        self._forms: tuple[bytes, dict[str, Any]] = b"", {}
 
     # --- torch -------------------------------------------------------------------------
 
@@ -106,8 +126,12 @@ class Velocity(nn.Module):
 
     # --- columns -----------------------------------------------------------------------
 
-    def shared_columns(self, encoded: Columns) -> Columns:
+    def shared_columns(self, encoded: Encoded) -> Shared:
         """:meth:`shared` over columns."""
+        return Shared(self, encoded)
+
+    def condition_columns(self, encoded: Columns) -> Columns:
+        """What the condition adds to the first layer."""
         return self._product("condition", encoded, type(encoded[-1]))
 
     def columns(self, x: Columns, t: Float, shared: Columns) -> Columns:
@@ -172,44 +196,75 @@ class Velocity(nn.Module):
         return list(drjit.nn.matvec(weights[which], vector, bias))
 
     def _looped(self, array: type[Float]) -> dict[int | str, LoopedMatrix]:
-        """As loops: 32-bit cooperative vectors do not exist on CUDA. Kept like :meth:`_pack`."""
-        content = b"".join(p.detach().float().cpu().numpy().tobytes() for p in self.parameters())
-        if self._loops is None or self._loops[0] != content:
-            made = {}
-            for name in ("condition", "place", *range(1, len(self.layers))):
-                weight, bias = self._part(name)
-                bias = None if bias is None else bias.cpu().numpy()
-                made[name] = LoopedMatrix(array, weight.cpu().numpy(), bias)
-            self._loops = content, made
-        return self._loops[1]
+        """As loops: 32-bit cooperative vectors do not exist on CUDA."""
 
-    def _part(self, which: int | str) -> tuple[Tensor, Tensor | None]:
+        def make() -> dict[int | str, LoopedMatrix]:
+            made = {}
+            for name in self._names:
+                weight, bias = self._part(name)
+                made[name] = LoopedMatrix(array, weight, bias)
+            return made
+
+        return self._kept("loops", make)
+
+    @property
+    def _names(self) -> list[int | str]:
+        return ["condition", "place", *range(1, len(self.layers))]
+
+    def _part(self, which: int | str) -> tuple[np.ndarray, np.ndarray | None]:
         """Matrix and bias of a layer, or of a part of the first."""
         layer = self.layers[which if isinstance(which, int) else 0]
-        weight, bias = layer.weight.detach().float(), layer.bias.detach().float()
+        weight, bias = (v.detach().float().cpu().numpy() for v in (layer.weight, layer.bias))
         if which == "condition":
             return weight[:, self.own :], bias
         return (weight[:, : self.own], None) if which == "place" else (weight, bias)
 
     def _pack(self, array: type[Float]) -> tuple[dict, dict]:
-        """Weights as packed matrix views, made again whenever a parameter has changed."""
-        # By content: torch's version counter misses the writes of fused optimisers.
-        content = b"".join(p.detach().float().cpu().numpy().tobytes() for p in self.parameters())
-        if self._packed is None or self._packed[0] != content:
-            names = ["condition", "place", *range(1, len(self.layers))]
-            parts = [self._part(name) for name in names]
+        """Weights and biases as packed matrix views."""
+
+        def make() -> tuple[dict, dict]:
+            parts = [self._part(name) for name in self._names]
             tensor = dr.tensor_t(array)
-            weights = [tensor(np.ascontiguousarray(w.cpu().numpy())) for w, _ in parts]
-            biased = [name for name, (_, b) in zip(names, parts, strict=True) if b is not None]
-            biases = [array(b.cpu().numpy()) for _, b in parts if b is not None]
+            weights = [tensor(np.ascontiguousarray(w)) for w, _ in parts]
+            biased = [
+                name for name, (_, b) in zip(self._names, parts, strict=True) if b is not None
+            ]
+            biases = [array(b) for _, b in parts if b is not None]
             packed = drjit.nn.pack(*weights, *biases, layout="inference")
-            n = len(names)
-            self._packed = (
-                content,
-                dict(zip(names, packed[:n], strict=True)),
+            n = len(parts)
+            return (
+                dict(zip(self._names, packed[:n], strict=True)),
                 dict(zip(biased, packed[n:], strict=True)),
             )
-        return self._packed[1], self._packed[2]
+
+        return self._kept("matrices", make)
+
+    @property
+    def compilable(self) -> bool:
+        """Whether the compiled kernels know such a velocity: they have no waves."""
+        return not self.waves
+
+    def compiled(self, library: Library) -> PackedFlow:
+        """The velocity as the compiled kernels run it."""
+
+        def make() -> PackedFlow:
+            rest = [self._part(i) for i in range(1, len(self.layers))]
+            numbers = Numbers(self._part("condition"), self._part("place")[0], rest)
+            slope = activations.SLOPES.get(self.activation, 0.0)
+            return PackedFlow(library, numbers, self.activation, slope, self.bounded)
+
+        return self._kept(f"compiled for {library.name}", make)
+
+    def _kept(self, what: str, make: Callable[[], Any]) -> Any:
+        """A form of the weights, made again whenever a parameter has changed."""
+        # By content: torch's version counter misses the writes of fused optimisers.
+        content = b"".join(p.detach().float().cpu().numpy().tobytes() for p in self.parameters())
+        if self._forms[0] != content:
+            self._forms = content, {}
+        forms = self._forms[1]
+        if what not in forms:
+            forms[what] = make()
+        return forms[what]
 
     def __deepcopy__(self, memo: dict) -> Velocity:
         import copy
@@ -217,7 +272,6 @@ class Velocity(nn.Module):
         clone = self.__new__(type(self))
         nn.Module.__init__(clone)
         clone.layers = copy.deepcopy(self.layers, memo)
-        clone.activation, clone.bounded, clone._packed = self.activation, self.bounded, None
-        clone._loops = None
+        clone.activation, clone.bounded, clone._forms = self.activation, self.bounded, (b"", {})
         clone.waves, clone.own = self.waves, self.own
         return clone

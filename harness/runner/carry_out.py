@@ -82,6 +82,8 @@ class Carrier:
         started, clock = _utc(), time.perf_counter()
         environment = machine.describe(task.first.budget.device)
         environment["machine"]["host"] = platform.node()
+        if spent := machine.kernel_seconds():
+            environment["kernel_seconds"] = spent
         if task.alone:
             environment["load"] = [round(load, 2) for load in os.getloadavg()]
             environment["clock"] = _clock()

@@ -18,7 +18,7 @@ def main() -> int:
     if isinstance(made, str):
         print(f"no compiled kernels ({made}): {library.WITHOUT}")
         return 1
-    print(f"compiled kernels for {made.name}, {made.seconds:.1f} s")
+    print(f"compiled kernels for {made.name}, {made.build_seconds + made.load_seconds:.1f} s")
     return 0
 
 

@@ -22,20 +22,26 @@ WITHOUT = "networks take two to three times as long on the CPU"
 
 @dataclass(frozen=True)
 class Library:
-    """``name`` of the instruction set; ``seconds`` to build (where it was not there) and load."""
+    """``name`` of the instruction set; seconds to build, next to none where it was there, and to
+    load."""
 
     name: str
-    seconds: float
+    build_seconds: float
+    load_seconds: float
     pack: ctypes._CFuncPtr
     network: ctypes._CFuncPtr
+    flow: ctypes._CFuncPtr
     transpose: ctypes._CFuncPtr
     functions: ctypes._CFuncPtr
     submit: int | None
     wait: int | None
 
     def elementary(self, v: np.ndarray) -> tuple[np.ndarray, ...]:
-        """Exponential, sine and cosine as the kernels have them; of float32 [a multiple of 64]."""
-        out = tuple(np.empty_like(v) for _ in range(3))
+        """Exponential, sine, cosine, logistic function and hyperbolic tangent of the kernels.
+
+        Of float32 [a multiple of 64].
+        """
+        out = tuple(np.empty_like(v) for _ in range(5))
         places = [ctypes.c_void_p(a.ctypes.data) for a in (v, *out)]
         self.functions(places[0], ctypes.c_int32(v.size), *places[1:])
         return out
@@ -53,28 +59,32 @@ def found() -> Library | str:
         return target
     start = time.perf_counter()
     try:
-        return opened(build.library(target), target.name, start)
+        file = build.library(target)
+        return opened(file, target.name, time.perf_counter() - start)
     except build.BuildFailed as error:
         return str(error)
     except OSError as error:
         return f"the library does not load: {error}"
 
 
-def opened(file: Path, name: str, start: float) -> Library:
-    """A compiled library; ``start`` is when its building began, by ``time.perf_counter``.
+def opened(file: Path, name: str, build_seconds: float) -> Library:
+    """A compiled library that took ``build_seconds``.
 
     Raises:
         OSError: it cannot be loaded.
     """
+    start = time.perf_counter()
     loaded = ctypes.CDLL(str(file))
-    for function in (loaded.harness_pack, loaded.harness_network, loaded.harness_transpose):
-        function.restype = None
+    for name_of in ("pack", "network", "flow", "transpose", "functions"):
+        getattr(loaded, f"harness_{name_of}").restype = None
     submit, wait = _pool()
     return Library(
         name=name,
-        seconds=time.perf_counter() - start,
+        build_seconds=build_seconds,
+        load_seconds=time.perf_counter() - start,
         pack=loaded.harness_pack,
         network=loaded.harness_network,
+        flow=loaded.harness_flow,
         transpose=loaded.harness_transpose,
         functions=loaded.harness_functions,
         submit=submit,

@@ -21,6 +21,8 @@ from harness.materials.puresample.network import (
     albedo_columns,
     at_columns,
 )
+from harness.nets.compiled_network import usable
+from harness.nets.encoding import Encoded
 
 
 class PureSampleMaterial(ColumnMaterial):
@@ -86,13 +88,20 @@ class PureSampleMaterial(ColumnMaterial):
             return self.network.albedo(condition[:, :-2], condition[:, -2:])
 
     def _densities(self, features: Columns, wi: Columns, wo: Columns) -> Columns:
-        """Of the three channels; one inversion where they are alike, else a loop of three."""
+        """Of the three channels; one inversion where they are alike."""
         array = type(wi[0])
         index = dr.uint32_array_t(array)
-        if self.network.architecture.grey:
-            at = at_columns(self.network, features, index(0), wi)
-            return [sampling.density(self.network, at, wo)] * CHANNELS
 
+        def of(channel: int) -> Float:
+            at = at_columns(self.network, features, index(channel), wi)
+            return sampling.density(self.network, at, wo)
+
+        if self.network.architecture.grey:
+            return [of(0)] * CHANNELS
+        if usable(Encoded.plain([*features, *wi, *wo])) is not None:
+            return [of(channel) for channel in range(CHANNELS)]
+
+        # A loop of three, so that Dr.Jit's kernel has the steps once.
         def body(k: Any, r: Float, g: Float, b: Float) -> tuple:
             at = at_columns(self.network, features, k, wi)
             p = sampling.density(self.network, at, wo)

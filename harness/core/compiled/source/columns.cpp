@@ -5,6 +5,7 @@
 // Every output is bias + sum over inputs in order, by fused multiply-adds: the same bits whatever
 // the width, the block or the number of threads.
 
+#include "flow_job.h"
 #include "network.h"
 #include "splines.h"
 #include "transpose.h"
@@ -16,8 +17,7 @@ constexpr int CHUNK = 8;  // blocks in a task of the thread pool
 struct Job {
     const Network *net;
     uint32_t rows;
-    const float *const *in;
-    const uint8_t *wide;  // whether a column has a value per row, or one for all
+    Columns in;
     float *const *out;
     int widest, use;
 };
@@ -29,25 +29,16 @@ void work(const Job &job, uint32_t first, uint32_t last) {
     const int numbers = net.layer[net.layers - 1].outputs, out = result_columns(job.use, numbers);
     const size_t floats = size_t(in + net.encoded + 2 * job.widest + numbers + out) * BLOCK;
     float *scratch = new float[floats + 16];
-    float *copied = scratch + ((64 - (reinterpret_cast<uintptr_t>(scratch) & 63)) & 63) / 4;
+    float *copied = aligned(scratch);
     float *encoded = copied + in * BLOCK, *hidden = encoded + net.encoded * BLOCK;
     float *raw_out = hidden + 2 * job.widest * BLOCK, *kept = raw_out + numbers * BLOCK;
     const float *x[4096], *raw[4096];
     float *y[4096], *to[4096];
-    for (int i = 0; i < in; i++)
-        if (!job.wide[i])
-            for (int row = 0; row < BLOCK; row++) copied[i * BLOCK + row] = job.in[i][0];
+    repeat(job.in, in, copied);
     for (uint32_t block = first; block < last; block++) {
         const size_t start = size_t(block) * BLOCK;
         const int count = job.rows - start < BLOCK ? int(job.rows - start) : BLOCK;
-        for (int i = 0; i < in; i++) {
-            raw[i] = job.wide[i] ? job.in[i] + start : copied + i * BLOCK;
-            if (job.wide[i] && count < BLOCK) {
-                memset(copied + i * BLOCK, 0, BLOCK * sizeof(float));
-                memcpy(copied + i * BLOCK, raw[i], count * sizeof(float));
-                raw[i] = copied + i * BLOCK;
-            }
-        }
+        block_of(job.in, in, start, count, copied, raw);
         if (net.plain) {
             for (int i = 0; i < net.columns; i++) x[i] = raw[i];
         } else {
@@ -85,11 +76,12 @@ typedef void (*Wait)(void *task);
 
 extern "C" {
 
-// Weights [outputs][inputs] in the order in which `rows` reads them.
-void harness_pack(const float *weights, int32_t inputs, int32_t outputs, float *packed) {
+// Weights [outputs][inputs] in the order in which `rows` reads them, or those of a flow.
+void harness_pack(const float *weights, int32_t inputs, int32_t outputs, int32_t for_flow, float *packed) {
     int first = 0;
-    for (int g = 0; g < groups(outputs); g++) {
-        const int size = group_size(outputs, g);
+    const int most = for_flow ? SUMS : OUTPUTS;
+    for (int g = 0; g < groups(outputs, most); g++) {
+        const int size = group_size(outputs, g, most);
         for (int k = 0; k < inputs; k++)
             for (int j = 0; j < size; j++) *packed++ = weights[(first + j) * inputs + k];
         first += size;
@@ -102,7 +94,7 @@ void harness_network(const Network *net, uint32_t rows, const float *const *in, 
     int widest = 1;
     for (int i = 0; i + 1 < net->layers; i++)
         if (net->layer[i].outputs > widest) widest = net->layer[i].outputs;
-    Job job{net, rows, in, wide, out, widest, use};
+    Job job{net, rows, {in, wide}, out, widest, use};
     const uint32_t blocks = (rows + BLOCK - 1) / BLOCK, tasks = (blocks + CHUNK - 1) / CHUNK;
     if (!submit || tasks < 2) {
         work(job, 0, blocks);
@@ -111,6 +103,20 @@ void harness_network(const Network *net, uint32_t rows, const float *const *in, 
     Job *payload = &job;
     void *made = submit(nullptr, nullptr, 0, tasks, task, &payload, sizeof(payload), nullptr, 1, 0);
     wait(made);
+}
+
+// A flow's steps over `rows` rows. Columns in: the condition's, x and y, and `active` (0 or not; if there is one).
+// Out: x and y; but for ENDPOINT the determinant; for FORWARD derivatives by x and by y, for INVERSE whether found.
+void harness_flow(const Flow *flow, uint32_t rows, const float *const *in, const uint8_t *wide,
+                  int32_t masked, float *const *out, int32_t way, Submit submit, Wait wait) {
+    FlowJob job{flow, rows, {in, wide}, masked != 0, out, way};
+    const uint32_t tiles = (rows + TILE - 1) / TILE, tasks = (tiles + TILES - 1) / TILES;
+    if (!submit || tasks < 2) {
+        flow_tiles(job, 0, tiles);
+        return;
+    }
+    FlowJob *payload = &job;
+    wait(submit(nullptr, nullptr, 0, tasks, flow_task, &payload, sizeof(payload), nullptr, 1, 0));
 }
 
 // [rows][columns] at `from`, `stride` floats from row to row, to [columns][rows] at `to`.
@@ -126,14 +132,17 @@ void harness_transpose(const float *from, int64_t stride, uint32_t rows, uint32_
     wait(submit(nullptr, nullptr, 0, tasks, transpose_task, &payload, sizeof(payload), nullptr, 1, 0));
 }
 
-// Exponential, sine and cosine of n values (a multiple of WIDTH), for tests.
-void harness_functions(const float *v, int32_t n, float *exponentials, float *sines, float *cosines) {
+// Exponential, sine, cosine, logistic function and hyperbolic tangent of n values (a multiple of WIDTH), for tests.
+void harness_functions(const float *v, int32_t n, float *exponentials, float *sines, float *cosines,
+                       float *logistics, float *tangents) {
     for (int i = 0; i < n; i += WIDTH) {
         Floats s, c, x = load(v + i);
         store(exponentials + i, exponential(x));
         sine_and_cosine(x, s, c);
         store(sines + i, s);
         store(cosines + i, c);
+        store(logistics + i, logistic(x));
+        store(tangents + i, hyperbolic_tangent(x));
     }
 }
 

@@ -29,11 +29,11 @@ struct Layer {
     const float *biases;
 };
 
-// Outputs are taken in groups as even as possible, of OUTPUTS at most: an odd few at the end
+// Outputs are taken in groups as even as possible, of `most` at most: an odd few at the end
 // would have too few sums to fill the processor's pipeline.
-INLINE int groups(int outputs) { return (outputs + OUTPUTS - 1) / OUTPUTS; }
-INLINE int group_size(int outputs, int group) {
-    int n = groups(outputs);
+INLINE int groups(int outputs, int most = OUTPUTS) { return (outputs + most - 1) / most; }
+INLINE int group_size(int outputs, int group, int most = OUTPUTS) {
+    int n = groups(outputs, most);
     return outputs / n + (group < outputs % n);
 }
 

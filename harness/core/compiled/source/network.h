@@ -41,6 +41,37 @@ void layers(const Network &net, const float **x, float *const *out, float *hidde
     }
 }
 
+// Columns as a caller has them: `wide` says whether one has a value per row, or one for all.
+struct Columns {
+    const float *const *from;
+    const uint8_t *wide;
+};
+
+// Columns of one value as BLOCK rows at `copied`, once for all blocks.
+INLINE void repeat(const Columns &in, int columns, float *copied) {
+    for (int i = 0; i < columns; i++)
+        if (!in.wide[i])
+            for (int row = 0; row < BLOCK; row++) copied[i * BLOCK + row] = in.from[i][0];
+}
+
+// Where `count` rows from `start` on lie; the last few are copied, so that there are BLOCK of them.
+INLINE void block_of(const Columns &in, int columns, size_t start, int count, float *copied,
+                     const float **raw) {
+    for (int i = 0; i < columns; i++) {
+        raw[i] = in.wide[i] ? in.from[i] + start : copied + i * BLOCK;
+        if (in.wide[i] && count < BLOCK) {
+            memset(copied + i * BLOCK, 0, BLOCK * sizeof(float));
+            memcpy(copied + i * BLOCK, raw[i], count * sizeof(float));
+            raw[i] = copied + i * BLOCK;
+        }
+    }
+}
+
+// A cache line's boundary at or after `p`.
+INLINE float *aligned(float *p) {
+    return p + ((64 - (reinterpret_cast<uintptr_t>(p) & 63)) & 63) / 4;
+}
+
 void encode(const Network &net, const float *const *in, float *to) {
     for (int i = 0; i < net.columns; i++) {
         const Input &e = net.inputs[i];

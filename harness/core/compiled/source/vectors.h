@@ -45,6 +45,20 @@ INLINE Floats square_root(Floats v) {
 #endif
 }
 
+// a b + c, rounded once: said, where a compiler that chooses would round rows differently.
+INLINE Floats fused(Floats a, Floats b, Floats c) {
+#if WIDTH == 16 && defined(__AVX512F__)
+    return (Floats)_mm512_fmadd_ps((__m512)a, (__m512)b, (__m512)c);
+#elif WIDTH == 8 && defined(__FMA__)
+    return (Floats)_mm256_fmadd_ps((__m256)a, (__m256)b, (__m256)c);
+#else
+    for (int i = 0; i < WIDTH; i++) c[i] = __builtin_fmaf(a[i], b[i], c[i]);
+    return c;
+#endif
+}
+
+INLINE float fused(float a, float b, float c) { return __builtin_fmaf(a, b, c); }
+
 // Nearest whole number of |v| < 2^22.
 INLINE Floats nearest(Floats v) {
     const Floats magic = all(12582912.0f);  // 1.5 * 2^23
@@ -72,6 +86,40 @@ INLINE Floats exponential(Floats v) {
     Ints k = __builtin_convertvector(n, Ints);
     Ints half = k >> 1;
     return p * power_of_two(half) * power_of_two(k - half);
+}
+
+// 2^n and e^r - 1, of which e^v = 2^n e^r; |v| <= 87, so that 2^n is a normal number.
+INLINE Floats power_and_rest(Floats v, Floats &rest) {
+    Floats n = nearest(v * 1.44269504f);
+    Floats r = v - n * 0.693145752f;
+    r = r - n * 1.42860677e-6f;
+    Floats p = all(1.0f / 5040);
+    p = p * r + 1.0f / 720;
+    p = p * r + 1.0f / 120;
+    p = p * r + 1.0f / 24;
+    p = p * r + 1.0f / 6;
+    p = p * r + 0.5f;
+    rest = p * r * r + r;
+    return power_of_two(__builtin_convertvector(n, Ints));
+}
+
+// Between bounds beyond which the functions below do not change any more; a nan stays one.
+INLINE Floats between(Floats v, float bound) {
+    Floats x = v < -bound ? all(-bound) : v;
+    return x > bound ? all(bound) : x;
+}
+
+// 1 / (1 + e^-v).
+INLINE Floats logistic(Floats v) {
+    Floats rest, power = power_and_rest(between(-v, 87.0f), rest);
+    return 1.0f / (1.0f + (power + power * rest));
+}
+
+// With all digits near zero too: e^2v - 1 over e^2v + 1.
+INLINE Floats hyperbolic_tangent(Floats v) {
+    Floats rest, power = power_and_rest(between(2.0f * v, 40.0f), rest);
+    Floats less = power * rest + (power - 1.0f);
+    return less / (less + 2.0f);
 }
 
 // v less k quarter turns.
