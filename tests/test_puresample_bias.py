@@ -8,12 +8,13 @@ from harness._methods.cosine import Cosine
 from harness._methods.puresample import PureSample
 from harness.materials import registry
 from harness.mitsuba_runtime import variant
-from harness.rendering.prepared import prepare
 from harness.scenes import registry as scenes
 from harness.stats.blocks import Blocks
 from harness.stats.ztest import agreement_of_blocks, holm
 
 variant.use("cpu")
+
+from harness.rendering.prepared import prepare  # noqa: E402
 
 SIDE, SPP, TIMES = 16, 128, 4
 SCENES = ("quad", "bent-quad", "uniform-sphere", "studio-sphere", "draped-cloth")

@@ -39,9 +39,9 @@ def write(
     """
     network, record = storage.load(file), storage.record(file)
     name = str(record.get("name", file.stem))
-    if description is None and not record:
+    if description is None and not {"name", "description"} <= set(record):
         raise InputError(f"{file}: has no record of its surface; give --description")
-    source = sources.load(description or name)
+    source = sources.load(description) if description else sources.of_record(record)
     above = [walks.exits(source, wi, cells, count, 1, device).numpy() for wi in walks.DIRECTIONS]
     below = [learned(network, wi, cells).numpy() for wi in walks.DIRECTIONS]
     left = [None, None]
