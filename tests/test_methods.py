@@ -24,7 +24,7 @@ NAMES = [name for name in registry.names() if registry.load(name).exact_pdf]
 """Of the others the pdf is an approximation: see test_random_walk and test_importance_baked."""
 PARAMETERS = {
     "tabulated": {"resolution": 8},
-    "importance-baked": {"resolution": 8, "slices": 64},
+    "importance-baked": {"resolution": 8, "slices": 16},
     "flow-matching": {"width": 16, "layers": 2, "steps": 4},
 }
 BUDGET = Budget(steps=40, conditions=64, directions=32, resolution=32, pool=256)
