@@ -56,16 +56,19 @@ class Prober:
         self.jobs, self.known = jobs, known
         self._computed: dict[tuple[Any, ...], Computed] = {}
 
-    def probe(self, trial: Trial, part: str, parts: dict[str, Part]) -> Probe:
+    def probe(self, trial: Trial, part: str, parts: dict[str, Part], timed: bool = True) -> Probe:
         """Of the ``part`` of ``trial``, whose code begins at ``parts``; takes a second or so.
+
+        ``timed``: whether its work is recorded, which takes a second run.
 
         Raises:
             Exception: whatever the code raises. Without a probe nothing is known.
         """
-        key = self._computation(trial, part)
+        key = timed, *self._computation(trial, part)
         if key not in self._computed:
+            repeated = self._repeated(trial, part) if timed else None
             self._computed[key] = computed(
-                self.known.tree, lambda: self.arrays(trial, part), self._repeated(trial, part)
+                self.known.tree, lambda: self.arrays(trial, part), repeated, timed
             )
         return self._computed[key].of(self._units(part, parts))
 
