@@ -24,12 +24,28 @@ BOMB = (
     + "".join(f'<!ENTITY a{i} "{f"&a{i - 1};" * 10}">' for i in range(1, 10))
     + ']><scene version="3.0.0"><x>&a9;</x></scene>'
 )
+def default(length: int) -> str:
+    """A parameter that stands for ten of the one before it."""
+    value = 10 * ("$" + "a" * (length - 1))
+    return f'<default name="{"a" * length}" value="{value}"/>'
+
+
+PARAMETERS = (
+    '<scene version="3.0.0"><default name="a" value="1111111111"/>'
+    + "".join(map(default, range(2, 13)))
+    + '<bsdf id="$aaaaaaaaaaaa"/></scene>'
+)
 REFUSED = {
     "deep": (nested(DEPTH + 1), f"expected at most {DEPTH} elements in one another"),
     "very deep": (nested(100_000), f"expected at most {DEPTH} elements in one another"),
     "entities": (BOMB, "is not XML: .*amplification"),
     "cut off": (nested(5)[:-4], "is not XML"),
     "an unknown encoding": ('<?xml version="1.0" encoding="x"?>' + nested(2), "is not XML"),
+    "parameters": (PARAMETERS, "'.*': expected at most 65,536 characters"),
+    "a parameter for itself": (
+        '<scene version="3.0.0"><default name="a" value="$a$a"/></scene>',
+        "'.*': expected at most 65,536 characters",
+    ),
     "a long name": (
         f'<scene version="3.0.0"><string value="{"a" * (NAME + 1)}"/></scene>',
         f"<string>: expected a text of at most {NAME} bytes",
@@ -49,7 +65,8 @@ def test_what_is_refused(name: str, tmp_path: Path) -> None:
 
 def test_what_is_taken(tmp_path: Path) -> None:
     file = tmp_path / "scene.xml"
-    for text in (nested(DEPTH), "\ufeff" + nested(2), "# no XML at all", ""):
+    known = '<scene version="3"><default name="a" value="$b/x"/><x y="$a$c" z="$"/></scene>'
+    for text in (nested(DEPTH), "\ufeff" + nested(2), "# no XML at all", "", known):
         file.write_text(text)
         spec = {"file": str(file), "replace_bsdf": {"x": {"file": str(tmp_path)}}}
         assert checked(spec) is spec

@@ -20,6 +20,9 @@ BYTES = 64 * 2**20
 """Of a file; meshes and images are files of their own."""
 NAME = 255
 """Bytes of a file's name on any system, without its folders."""
+GROWN, _ROUNDS = 2**16, 16
+"""Characters that a value may come to once parameters stand in it, and how often they may stand for
+others."""
 _TEXTS = ("string", "path", "include", "spectrum")
 """Elements whose values may name a file."""
 
@@ -39,14 +42,17 @@ def checked(spec: Any) -> Any:
 
 def check(file: Path) -> None:
     """Refuse what :func:`checked` refuses, in ``file`` and what it includes."""
-    todo, seen = [file], set[Path]()
+    todo, seen, values = [file], set[Path](), dict[str, str]()
     while todo:
         one = todo.pop()
         if one in seen or not _is_xml(one):
             continue
         seen.add(one)
         root = _root(one)
-        values = {e.get("name", ""): e.get("value", "") for e in root.iter("default")}
+        for default in root.iter("default"):
+            values.setdefault(default.get("name", ""), default.get("value", ""))
+        for text in (t for e in root.iter() for t in e.attrib.values() if "$" in t):
+            _check_growth(text, values, one)
         for element in (e for tag in _TEXTS for e in root.iter(tag)):
             for text in (element.get("value", ""), element.get("filename", "")):
                 if any(len(part.encode("utf-8", "replace")) > NAME for part in text.split("/")):
@@ -57,6 +63,23 @@ def check(file: Path) -> None:
         # Of a name with a parameter in it the default is looked at; Mitsuba looks for the rest.
         names = [e.get("filename", "") for e in root.iter("include")]
         todo += [one.parent / values.get(name.removeprefix("$"), name) for name in names]
+
+
+def _check_growth(text: str, values: Mapping[str, str], file: Path) -> None:
+    """Refuse a text in which parameters stand for more and more, or for themselves."""
+    whole = text
+    for _ in range(_ROUNDS):
+        before = text
+        for name in sorted(filter(None, values), key=len, reverse=True):
+            if len(text) + text.count(f"${name}") * len(values[name]) > GROWN:
+                raise InputError(
+                    f"{file}: '{whole[:40]}': expected at most {GROWN:,} characters once its"
+                    " parameters stand in it"
+                )
+            text = text.replace(f"${name}", values[name])
+        if text == before:
+            return
+    raise InputError(f"{file}: '{whole[:40]}': parameters stand for one another without an end")
 
 
 def _files(spec: Any) -> Iterator[Path]:
