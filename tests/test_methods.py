@@ -40,6 +40,22 @@ cases = pytest.mark.parametrize(
     [pytest.param(*case, marks=pytest.mark.slow if case in SLOW_CASES else ()) for case in CASES],
     ids=[f"{k}-{'fitted' if f else 'untrained'}" for k, f in CASES],
 )
+DIRECTIONS = {"steep": (0.3, -0.2), "grazing": (-0.1, 0.97)}
+followed = pytest.mark.parametrize(
+    ("kind", "fitted", "wi"),
+    [
+        pytest.param(
+            *(kind, fit, wi),
+            id=f"{kind}-{'fitted' if fit else 'untrained'}-{name}",
+            marks=pytest.mark.slow
+            if (kind, fit) in SLOW_CASES or (kind, name) == ("mitsuba", "steep")
+            else (),
+        )
+        for kind, fit in CASES
+        for name, wi in DIRECTIONS.items()
+    ],
+)
+"""At grazing directions, where most goes wrong; steep ones of one material alone."""
 small = pytest.mark.parametrize(("kind", "fitted"), SMALL, ids=[k for k, _ in SMALL])
 
 
@@ -92,8 +108,7 @@ def assert_consistent(method: Method, condition: Tensor, u: Tensor) -> None:
 
 
 @each
-@cases
-@pytest.mark.parametrize("wi", [(0.3, -0.2), (-0.1, 0.97)], ids=["steep", "grazing"])
+@followed
 def test_samples_follow_pdf(name, kind, fitted, wi):
     """Chi-square on the disk, and the pdf's integral is the share of valid samples."""
     method = ready(name, kind, fitted)
