@@ -97,6 +97,23 @@ def test_files_that_are_included_are_looked_at(name: str, tmp_path: Path) -> Non
         checked({"name": "x", "replace_bsdf": {"a": {"file": str(tmp_path / "scene.xml")}}})
 
 
+@pytest.mark.parametrize("tag", ["include", "spectrum"])
+def test_a_device_is_no_file(tag: str, tmp_path: Path) -> None:
+    """Its end never comes."""
+    file = tmp_path / "scene.xml"
+    file.write_text(f'<scene version="3.0.0"><{tag} name="x" filename="/dev/zero"/></scene>')
+    with pytest.raises(InputError, match="expected the name of a file, got '/dev/zero'"):
+        checked({"file": str(file)})
+
+
+def test_a_spectrum_is_text(tmp_path: Path) -> None:
+    (tmp_path / "light.spd").write_bytes(b"400 1\n700 \xc9\n")
+    file = tmp_path / "scene.xml"
+    file.write_text('<scene version="3.0.0"><spectrum name="x" filename="light.spd"/></scene>')
+    with pytest.raises(InputError, match="light.spd: not a text file"):
+        checked({"file": str(file)})
+
+
 def test_a_suite_with_such_a_scene_is_refused(tmp_path: Path) -> None:
     """The process goes on: Mitsuba's parser has not seen it."""
     (tmp_path / "deep.xml").write_text(nested(20_000))
