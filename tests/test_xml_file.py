@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from harness.core.protocol.errors import InputError
-from harness.mitsuba_runtime import xml_file
+from harness.mitsuba_runtime import variant, xml_file
 from harness.mitsuba_runtime.xml_file import BYTES, DEPTH, NAME, checked
 from harness.suite.load import load
 from harness.suite.plan import make_plan
@@ -116,6 +116,7 @@ def test_a_spectrum_is_text(tmp_path: Path) -> None:
 
 def test_a_suite_with_such_a_scene_is_refused(tmp_path: Path) -> None:
     """The process goes on: Mitsuba's parser has not seen it."""
+    variant.use("cpu")
     (tmp_path / "deep.xml").write_text(nested(20_000))
     (tmp_path / "suite.yaml").write_text(
         "name: deep\nmaterials: [suede]\nmethods: [cosine]\nmeasures: [equal-spp]\n"
