@@ -34,10 +34,10 @@ from harness.scenes import registry as scenes
 from harness.suite.trials import FIT, Trial, stream_seed
 
 TINY = {
-    "angles": 2, "batches": 6, "conditions": 4, "count": 2, "grid": 8, "levels": 2, "pairs": 16,
-    "reference_spp": 8, "repeats": 2, "resolution": 24, "resolutions": [8], "rounds": 6,
-    "samples": 16, "side": 16, "size": 8, "slice_resolution": 16, "spp": 2, "truth_spp": 24,
-    "views": 1, "walks": 4096,
+    "angles": 2, "batches": 6, "conditions": 4, "count": 2, "grid": 8, "levels": 2, "longest": 2,
+    "pairs": 16, "reference_spp": 8, "repeats": 2, "resolution": 24, "resolutions": [8],
+    "rounds": 6, "samples": 16, "side": 16, "size": 8, "slice_resolution": 16, "spp": 2,
+    "truth_spp": 24, "views": 1, "walks": 4096,
 }  # fmt: skip
 """Settings of a measure's tiny job, where it has them and they are larger.
 
