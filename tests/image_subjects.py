@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from dataclasses import dataclass
 
@@ -66,8 +67,9 @@ class Tilted(Method):
 # --- helpers ---------------------------------------------------------------------------
 
 
+@functools.cache
 def grey() -> Material:
-    """Lambertian, and not white."""
+    """Lambertian, and not white; one for all, so that its reference images are made once."""
     return mitsuba("diffuse", reflectance={"type": "rgb", "value": 0.4})
 
 

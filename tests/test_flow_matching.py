@@ -227,7 +227,7 @@ def test_pairs_are_a_permutation_and_nearer():
 @pytest.mark.parametrize(
     "params",
     [
-        {**SMALL, "steps": 50},
+        pytest.param({**SMALL, "steps": 50}, marks=pytest.mark.slow),
         {**FEW, "steps": 1},
         {**FEW, "steps": 1, "base": "lobes", "domain": "square", "lambertian": True},
     ],

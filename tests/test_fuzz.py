@@ -16,6 +16,7 @@ from harness.core.yamlfile import BYTES, parse_yaml, read_yaml
 from harness.fuzz import mutations, run
 from harness.fuzz.attempt import ACCEPTED, REFUSED, outcome
 from harness.fuzz.checkpoints import Checkpoints
+from harness.fuzz.scenes import Scenes
 from harness.fuzz.stores import Stores
 from harness.fuzz.suites import Suites
 from harness.fuzz.whole_files import written
@@ -27,7 +28,9 @@ from tests import fakes
 from tests.fuzz_planted import WAYS
 
 
-@pytest.mark.parametrize(("kind", "count"), [(Suites, 25), (Stores, 8), (Checkpoints, 25)])
+@pytest.mark.parametrize(
+    ("kind", "count"), [(Suites, 25), (Stores, 8), (Checkpoints, 25), (Scenes, 25)]
+)
 def test_a_few_of_each(kind, count: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.chdir(tmp_path)  # and back, wherever it goes
     folder = tmp_path / "fuzz"
@@ -43,7 +46,8 @@ def test_a_few_of_each(kind, count: int, tmp_path: Path, monkeypatch: pytest.Mon
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("kind", "count"), [("suites", 2000), ("stores", 300), ("checkpoints", 300)]
+    ("kind", "count"),
+    [("suites", 2000), ("stores", 300), ("checkpoints", 300), ("scenes", 300)],
 )
 def test_many_of_each(kind: str, count: int):
     found = run.run(kind, count, seed=10**6)

@@ -7,9 +7,13 @@ from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
+import numpy as np
 import pytest
+import yaml
 
-from harness.identity.probe import Probe, difference
+from harness.cli.main import main
+from harness.identity import ours
+from harness.identity.probe import Probe, computed, difference
 from harness.mitsuba_runtime import variant
 from tests.planted_edits import CHANGING, PROBED, Edit
 
@@ -107,8 +111,44 @@ def test_a_number_that_the_probe_does_not_feel_is_no_agreement(now):
     assert difference(probe, felt, units, {**units, unit: "0"}, trained=True)
 
 
+def test_numbers_are_computed_once_and_their_work_once_more():
+    calls = []
+
+    def compute() -> dict[str, np.ndarray]:
+        calls.append(len(calls))
+        return {"x": np.zeros(1)}
+
+    tree = ours.digests().tree
+    assert computed(tree, compute, timed=False).work == "" and len(calls) == 1
+    assert computed(tree, compute).work != "" and len(calls) == 3
+
+
+@pytest.mark.probes
+def test_why_there_is_no_probe_is_said(tmp_path, monkeypatch, capsys):
+    def no_luck(*_):
+        raise ValueError("no luck\nwith it")
+
+    monkeypatch.setattr("harness.runner.probing.Prober.arrays", no_luck)
+    suite = {
+        "name": "one",
+        "materials": ["disney"],
+        "methods": ["cosine"],
+        "measures": [{"name": "pdf", "conditions": 4, "resolution": 8, "samples": 8}],
+        "report": {"tables": [], "figures": []},
+    }
+    (tmp_path / "one.yaml").write_text(yaml.safe_dump(suite))
+    arguments = ["run", str(tmp_path / "one.yaml"), "--out", str(tmp_path / "out")]
+    assert main([*arguments, "--executor", "inline"]) == 0
+    said = capsys.readouterr().out
+    assert "no probe of the method (disney): ValueError: no luck" in said
+    assert "with it" not in said
+
+
 def test_a_time_needs_the_same_work(now):
     probe, units = now["walks:material"]
+    unknown = replace(probe, work="")
+    assert difference(probe, unknown, units, units) == ""
+    assert "not known" in difference(unknown, unknown, units, units, timed=True)
     other = replace(probe, work="other")
     assert difference(probe, other, units, units) == ""
     assert difference(probe, other, units, units, timed=True) == "the work that is timed changed"

@@ -22,7 +22,7 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> Results:
         "name": "maps",
         "materials": ["disney"],
         "methods": [
-            {"name": "importance-baked", "label": kind, "params": {"kind": kind, "slices": 64}}
+            {"name": "importance-baked", "label": kind, "params": {"kind": kind, "slices": 16}}
             for kind in ("row-column", "optimal-transport")
         ]
         + ["cosine"],

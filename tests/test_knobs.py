@@ -68,7 +68,7 @@ def test_declared_knobs_exist(name):
 
 SMALL = {
     "histogram-mixture": {"levels": 10, "resolution": 16},
-    "importance-baked": {"resolution": 8, "slices": 64},
+    "importance-baked": {"resolution": 8, "slices": 16},
     "flow-matching": {"width": 16, "layers": 2, "steps": 4},
 }
 """What makes a method quick where it is not the size that is tested."""

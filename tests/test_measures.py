@@ -35,6 +35,9 @@ from tests.planted import Correct, Plaster
 
 variant.use("cpu")
 
+PLASTER = Plaster()
+"""One for all: its reference images are made once."""
+
 
 class TooLarge(Correct):
     """Its density is ten per cent too large, so its images are too dark."""
@@ -99,7 +102,7 @@ def test_variance_is_the_chi_square_divergence():
 
 def test_bias():
     """A density ten per cent too large is found out; a right one is not accused."""
-    biased, right = (equal_spp(m, Plaster()) for m in (TooLarge(), Correct()))
+    biased, right = (equal_spp(m, PLASTER) for m in (TooLarge(), Correct()))
     found = values(biased)
     assert found["bias-p"] < 1e-4 and found["bias-z"] < -4
     assert found["bias"] == pytest.approx(1 / 1.1 - 1, abs=0.03)
@@ -127,7 +130,7 @@ def test_a_heavy_tail_is_rendered_anew():
     from harness.measures import equal_spp as module
 
     methods = Rare(), TooLarge(), Correct()
-    rare, biased, right = (values(equal_spp(m, Plaster(), spp=16)) for m in methods)
+    rare, biased, right = (values(equal_spp(m, PLASTER, spp=16)) for m in methods)
     assert rare["first-bias-p"] < module.DOUBT < rare["bias-p"]
     assert rare["spp"] == module.LONGER * 6 * 16
     # A wrong density stays wrong, and what agrees at once is left at that.
@@ -159,7 +162,7 @@ def test_convergence():
     """One over the number of samples, for one method and another beside it."""
     given = {"levels": 6, "repeats": 6, "resolution": 16, "reference_spp": 4096}
     jobs = [
-        job("convergence", m, Plaster(), baseline=i == 0, **given)
+        job("convergence", m, PLASTER, baseline=i == 0, **given)
         for i, m in enumerate((registry.make("cosine"), Correct()))
     ]
     for outcome in run("convergence", jobs):
@@ -180,7 +183,7 @@ def test_convergence_of_a_biased_method_levels_off():
     """At the square of its bias: the error of its last level is more than noise explains."""
     given = {"levels": 8, "repeats": 2, "resolution": 16, "reference_spp": 2048}
     biased, right = (
-        measured("convergence", m, Plaster(), **given) for m in (TooLarge(), Correct())
+        measured("convergence", m, PLASTER, **given) for m in (TooLarge(), Correct())
     )
     assert values(biased)["mse-last"] > 2 * values(right)["mse-last"]
     assert values(biased)["slope"] > values(right)["slope"]

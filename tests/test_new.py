@@ -20,7 +20,7 @@ from tests.materials import Plain, Tilted
 ROOT = Path(__file__).parents[1]
 
 
-@pytest.mark.parametrize("material", [Plain, Tilted])
+@pytest.mark.parametrize("material", [pytest.param(Plain, marks=pytest.mark.slow), Tilted])
 def test_the_scaffold_is_a_correct_sampler(material, tmp_path):
     made = scaffold("my-sampler", tmp_path)
     method = registry.make(made.handle)

@@ -191,6 +191,7 @@ def test_what_the_first_process_alone_knows_is_kept() -> None:
     assert flat["load_seconds"].tolist() == [1.0, 1.2]
 
 
+@pytest.mark.slow
 def test_coverage_where_wide_intervals_ask_for_more(monkeypatch) -> None:
     """8 to 16 processes that differ by 6 %: half of the runs go on beyond the eighth."""
     rng, trials, held, longer = np.random.default_rng(3), 300, 0, 0

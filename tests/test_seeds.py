@@ -102,7 +102,10 @@ def measured(rng: np.random.Generator, fits: int, seeds: int, between: float) ->
     return found
 
 
-@pytest.mark.parametrize(("fits", "seeds"), [(3, 1), (3, 4), (2, 2), (5, 1)])
+@pytest.mark.parametrize(
+    ("fits", "seeds"),
+    [(3, 4), (2, 2), *(pytest.param(*s, marks=pytest.mark.slow) for s in ((3, 1), (5, 1)))],
+)
 @pytest.mark.parametrize("between", [0.0, BETWEEN])
 def test_intervals_hold_both_spreads(fits: int, seeds: int, between: float):
     """95 in a hundred intervals hold the mean of all fits there could be."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +11,9 @@ import pytest
 from rich.console import Console
 
 from harness import load_results
+from harness.analysis.results import Results
+from harness.analysis.status import counted
+from harness.analysis.validity import Changed, changed, said_of_earlier
 from harness.core.protocol.errors import InputError
 from harness.runner import shipped
 from harness.runner.run import Options, run
@@ -19,6 +23,7 @@ from harness.suite.load import load
 from harness.suite.plan import make_plan
 from harness.suite.trials import FIT
 from tests import fakes
+from tests.report_results import Made
 
 
 @pytest.fixture(autouse=True)
@@ -126,3 +131,39 @@ def test_a_damaged_file_is_refused_with_the_way_out(tmp_path: Path, folder: Path
     path.write_bytes(path.read_bytes()[:50])
     with pytest.raises(InputError, match="not a fitted sampler.*--refit"):
         shipped.load(path)
+
+
+def test_a_fit_by_an_earlier_version_of_the_code_is_data(
+    tmp_path: Path, folder: Path, monkeypatch: pytest.MonkeyPatch
+):
+    _, plan = go(tmp_path, "one")
+    keep(tmp_path, "one", plan, folder)
+    load_it = shipped.load
+
+    def by_other_code(path: Path) -> Any:
+        outcome, about = load_it(path)
+        return outcome, about | {"parts": dict.fromkeys(about["parts"], "0")}
+
+    monkeypatch.setattr(shipped, "load", by_other_code)
+    before, _ = go(tmp_path, "two")
+    after, _ = go(tmp_path, "two")
+    assert all(fit.shipped and fit.parts["training"] == "0" for fit in before.values())
+    assert [f.started for f in after.values()] == [f.started for f in before.values()]
+
+
+def test_such_a_fit_is_no_stale_trial(tmp_path: Path):
+    made = Made(materials=["suede"], methods=["cosine"], measures=("fit",)).write(tmp_path / "out")
+    with ResultsFolder(made) as store:
+        ((key, stored),) = store.trials().items()
+        entries = {"measure": [["harness.measures.fit:Fit.run"], []]}
+        mine = replace(stored, parts={"measure": "0"}, entries=entries)
+        theirs = replace(mine, shipped="suede--cosine--0.safetensors")
+        assert changed(store, {key: mine}).stale[key].startswith("stale: the measure changed")
+        assert changed(store, {key: theirs}) == Changed({}, frozenset({key}))
+    found = counted(made, replace(Results.load(made), earlier=frozenset({key})))
+    assert found.all_valid and found.earlier == 1 and "stale" not in found.line()
+    assert said_of_earlier(1) == (
+        "1 fit shipped with the harness, fitted by an earlier version of the code: its seconds are "
+        "those of that version"
+    )
+    assert said_of_earlier(0) == ""

@@ -64,8 +64,12 @@ def coverage(draw, truth: float, trials: int = 500) -> float:
     return held / trials
 
 
+@pytest.mark.slow
 class TestCoverage:
-    """95 % intervals hold the truth 95 % of the time, within the noise of 500 trials."""
+    """95 % intervals hold the truth 95 % of the time, within the noise of 500 trials.
+
+    Of inputs that are skewed otherwise than those of test_stats_coverage.
+    """
 
     @pytest.mark.parametrize("n", [8, 12])
     def test_ratio_of_means(self, n: int) -> None:

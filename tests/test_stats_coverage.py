@@ -89,10 +89,10 @@ def simulate(name: str, kind: str, n: int, trials: int) -> tuple[float, float, f
     return held, float(values.mean()), float(values.std() / math.sqrt(trials))
 
 
-@pytest.mark.parametrize(("kind", "n"), [("normal", 8), ("lognormal", 12)])
 @pytest.mark.parametrize("name", ESTIMATORS)
-def test_coverage(name: str, kind: str, n: int) -> None:
-    held, _, _ = simulate(name, kind, n, 250)
+def test_coverage(name: str) -> None:
+    """Where the inputs are skewed, which is the hard case; the others in the slow tier."""
+    held, _, _ = simulate(name, "lognormal", 12, 250)
     check(held, 250)
 
 
@@ -175,7 +175,10 @@ def test_geometric_mean_of_a_sample() -> None:
 # --- levels --------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("materials", "seeds"), [(4, 1), (4, 3), (12, 1), (12, 3)])
+@pytest.mark.parametrize(
+    ("materials", "seeds"),
+    [(4, 3), (12, 1), *(pytest.param(*m, marks=pytest.mark.slow) for m in ((4, 1), (12, 3)))],
+)
 def test_two_level_mean(materials: int, seeds: int) -> None:
     rng, trials, held = np.random.default_rng(2), 400, 0
     for k in range(trials):

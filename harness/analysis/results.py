@@ -19,7 +19,7 @@ from harness.analysis.pooling import Factor
 from harness.analysis.process_pooling import joined
 from harness.analysis.renew import renewed
 from harness.analysis.seeds import over_training_seeds, training_seeds
-from harness.analysis.validity import changed_files, stale
+from harness.analysis.validity import changed, changed_files
 from harness.store.damage import damage
 from harness.store.folder import ResultsFolder
 from harness.store.frame import STALE, frame
@@ -62,6 +62,8 @@ class Results:
     """Where ``frame`` is a part that is to be shown: all rows."""
     factors: Factors = field(default_factory=lambda: Factors({}))
     """Speed-ups from all renders of each cell."""
+    earlier: frozenset[str] = frozenset()
+    """Fits that came with the harness, made by an earlier version of the code."""
 
     @classmethod
     def load(cls, folder: str | Path, all: bool = False) -> Results:
@@ -73,10 +75,12 @@ class Results:
             if lost := store.lost():
                 trials |= _lost(plan, trials, lost)
             trials = {key: renewed(trial) for key, trial in trials.items()}
-            old = stale(store, trials) | changed_files(plan)
+            code = changed(store, trials)
+            old = code.stale | changed_files(plan)
             found = pooled(plan, trials, baseline_of(plan))
             table = frame(plan["trials"], found.trials, old, all)
-        return cls(Path(folder), table, plan, found.trials, factors=found)
+        earlier = code.earlier & set(table["trial"])
+        return cls(Path(folder), table, plan, found.trials, factors=found, earlier=earlier)
 
     def restricted(self, allowed: Mapping[str, Collection[str]]) -> Results:
         """The part with these labels by column; a column that is not named is not restricted.

@@ -23,13 +23,15 @@ class Status:
     ``counts`` by ``valid``, ``stale``, ``missing``, ``failed``, ``unsupported``, ``skipped``;
     ``elsewhere`` are valid timings that were taken on another machine; ``reasons`` counts why
     trials are stale or failed, ``findings`` what methods changed that is not theirs; ``failed`` has
-    the failed ones.
+    the failed ones. ``earlier`` are fits that came with the harness and that an earlier version of
+    the code made: they are valid, for a fitted state is data.
     """
 
     folder: Path
     suite: str
     counts: Counter[str] = field(default_factory=Counter)
     elsewhere: int = 0
+    earlier: int = 0
     reasons: Counter[str] = field(default_factory=Counter)
     findings: Counter[str] = field(default_factory=Counter)
     failed: list[Stored] = field(default_factory=list)
@@ -71,6 +73,7 @@ def counted(folder: Path, results: Results) -> Status:
         found.findings.update(stored.findings if stored else ())
         if stored and kind == "failed":
             found.failed.append(stored)
+        found.earlier += key in results.earlier
         if stored and kind == "valid" and stored.trial.get("machine", here) != here:
             found.elsewhere += 1
     return found

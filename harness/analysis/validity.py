@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass, field
 from functools import cache
 from typing import Any
 
@@ -25,8 +26,20 @@ from harness.store.folder import ResultsFolder
 from harness.store.stored import Stored
 
 
-def stale(results: ResultsFolder, trials: Mapping[str, Stored]) -> dict[str, str]:
-    """Why, for each of ``trials`` whose code has changed; nothing is computed anew.
+@dataclass
+class Changed:
+    """What other code has to do with stored trials, by key.
+
+    ``stale``: why numbers do not hold any more. ``earlier``: fits that came with the harness, whose
+    state is data, and whose seconds and loss are those of an earlier version of the code.
+    """
+
+    stale: dict[str, str] = field(default_factory=dict)
+    earlier: frozenset[str] = frozenset()
+
+
+def changed(results: ResultsFolder, trials: Mapping[str, Stored]) -> Changed:
+    """Those of ``trials`` whose code has changed; nothing is computed anew.
 
     A change that a run found to move no number (``equivalent``) does not count. A user's own
     adapter or measure, which is not part of the project, is compared by a run alone.
@@ -48,7 +61,7 @@ def stale(results: ResultsFolder, trials: Mapping[str, Stored]) -> dict[str, str
         for key, trial in trials.items()
         if ADAPTER in now[key] and ADAPTER in trial.parts
     }
-    found = {}
+    found, earlier = {}, set()
     for key, trial in trials.items():
         base = trial.parts.get(BASELINE, "")
         current = now[key] | ({BASELINE: adapters[base]} if base in adapters else {})
@@ -61,11 +74,24 @@ def stale(results: ResultsFolder, trials: Mapping[str, Stored]) -> dict[str, str
             return bool(equal.get((part, old, new), set()) & enough)
 
         verdict = judge(before, current, same, details)
-        if verdict.stands and outdated(trial):
+        if trial.shipped and not verdict.stands:
+            earlier.add(key)
+        elif verdict.stands and outdated(trial):
             verdict = OUTDATED
-        if trial.status in ("ok", "nonfinite") and not verdict.stands:
+        if trial.status in ("ok", "nonfinite") and not (verdict.stands or key in earlier):
             found[key] = verdict.sentence
-    return found
+    return Changed(found, frozenset(earlier))
+
+
+def said_of_earlier(count: int) -> str:
+    """A sentence about so many of :attr:`Changed.earlier`; "" about none."""
+    if count == 0:
+        return ""
+    fits, its = ("1 fit", "its") if count == 1 else (f"{count} fits", "their")
+    return (
+        f"{fits} shipped with the harness, fitted by an earlier version of the code: {its} seconds "
+        "are those of that version"
+    )
 
 
 def changed_files(plan: Mapping[str, Any]) -> dict[str, str]:

@@ -11,6 +11,7 @@ from harness.core.protocol.errors import InputError
 from harness.core.protocol.material import Material
 from harness.core.protocol.method import Method
 from harness.mitsuba_runtime import variant
+from harness.mitsuba_runtime.xml_file import checked
 
 MaterialLike = str | Path | Mapping[str, Any] | Material | Any
 MethodLike = str | type[Method] | Method
@@ -35,7 +36,7 @@ def material(spec: MaterialLike, name: str | None = None, device: str | None = N
     from harness.materials import registry as materials
 
     if isinstance(spec, Mapping):
-        return materials.make_tested(_as_in_a_suite(spec, name, materials.KINDS))
+        return materials.make_tested(checked(_as_in_a_suite(spec, name, materials.KINDS)))
     if isinstance(spec, str):
         return materials.make({"name": spec})
     import mitsuba as mi
@@ -87,7 +88,7 @@ def scene(spec: Any) -> Any:
 
     if isinstance(spec, Mapping) and "name" not in spec and isinstance(spec.get("file"), str):
         spec = {"name": Path(spec["file"]).stem, **spec}
-    return scenes.make(spec)
+    return scenes.make(checked(spec))
 
 
 def ready(device: str | None) -> str:

@@ -14,12 +14,12 @@ def register(app: typer.Typer) -> None:
 
     @app.command()
     def fuzz(
-        kind: Annotated[str, typer.Argument(help="suites, stores or checkpoints.")],
+        kind: Annotated[str, typer.Argument(help="suites, stores, checkpoints or scenes.")],
         count: Annotated[int, typer.Option(min=1, help="Inputs to try.")] = 1000,
         seconds: Annotated[float, typer.Option(min=0.1, help="Stop after so long.")] = float("inf"),
         seed: Annotated[int, typer.Option(min=0, help="Of the first; the next has the next.")] = 0,
     ) -> None:
-        """Spoil suites, stored results or material files at random, and read them.
+        """Spoil suites, stored results, material or scene files at random, and read them.
 
         Each has to be taken for what it is or refused in one line, in 10 s and 1 GiB, and no
         table may change in silence. Exit status 1 if one is not; its seed makes it again.

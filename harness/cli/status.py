@@ -26,6 +26,7 @@ def register(app: typer.Typer) -> None:
         is computed.
         """
         from harness.analysis import status as statuses
+        from harness.analysis.validity import said_of_earlier
         from harness.core.protocol.errors import InputError
 
         found = statuses.folders(results_dir)
@@ -38,6 +39,8 @@ def register(app: typer.Typer) -> None:
             print(one.line())
             for reason, count in one.reasons.most_common():
                 print(f"  {count} x {reason}")
+            if one.earlier:
+                print(f"  {said_of_earlier(one.earlier)}")
             for finding, count in one.findings.most_common():
                 print(f"  {count} x finding: {finding}")
             for trial in one.failed if failed else ():

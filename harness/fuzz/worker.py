@@ -24,6 +24,7 @@ KINDS = {
     "suites": "harness.fuzz.suites:Suites",
     "stores": "harness.fuzz.stores:Stores",
     "checkpoints": "harness.fuzz.checkpoints:Checkpoints",
+    "scenes": "harness.fuzz.scenes:Scenes",
 }
 MEMORY = 2**30
 

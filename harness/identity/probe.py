@@ -28,7 +28,8 @@ _NOTES = "notes"
 class Probe:
     """What a probe gave.
 
-    ``arrays`` are its numbers, ``work`` a digest of what the machine was made to do. ``regions``
+    ``arrays`` are its numbers, ``work`` a digest of what the machine was made to do, "" where that
+    was not asked. ``regions``
     are, by function (``module:unit``), the marks of regions that ran and of those that did not;
     ``tried`` the values and classes that the numbers speak for. ``figures`` are, by unit, sums of
     hashes of the numbers and comparisons in the source text.
@@ -67,7 +68,7 @@ class Probe:
 
 @dataclass(frozen=True)
 class Computed:
-    """A small computation: its numbers, a digest of its work, and what of the code ran."""
+    """A small computation: its numbers, a digest of its work or "", and what of the code ran."""
 
     arrays: Arrays
     work: str
@@ -82,20 +83,24 @@ class Computed:
 
 
 def computed(
-    tree: Tree, compute: Callable[[], Arrays], repeated: Callable[[], Any] | None = None
+    tree: Tree,
+    compute: Callable[[], Arrays],
+    repeated: Callable[[], Any] | None = None,
+    timed: bool = True,
 ) -> Computed:
-    """The numbers of ``compute``, its work, and what of ``tree`` runs.
+    """The numbers of ``compute``, what of ``tree`` ran for them, and if it is ``timed`` its work.
 
-    ``repeated`` is that of it whose time a trial may take, by default all. First all is run to
-    compile and load whatever that takes, and once more, slowly, to see what runs.
+    The work is that of a second run, for the first compiles and loads. ``repeated`` is that of it
+    whose time a trial may take, by default all.
     """
-    arrays = compute()
-    again = repeated or compute
-    again()
-    with recorded() as work:
-        again()
     with covered(tree) as coverage:
-        compute()
+        arrays = compute()
+    if not timed:
+        return Computed(arrays, "", coverage)
+    if repeated is not None:
+        repeated()  # on what is kept, which may not have been used yet
+    with recorded() as work:
+        (repeated or compute)()
     return Computed(arrays, work.digest, coverage)
 
 
@@ -130,6 +135,8 @@ def difference(
     other_figures = _figures(old, old_units, new_units) != _figures(new, new_units, old_units)
     if other_figures and identical(old.arrays, new.arrays):
         return "a number in the code changed, which the probe does not feel"
+    if timed and not (old.work and new.work):
+        return "it is not known what work was timed"
     if timed and old.work != new.work:
         return "the work that is timed changed"
     return ""

@@ -78,7 +78,7 @@ class Carrier:
         if task.kind == CHECK:
             return Answer(refused=_refusal(task.first))
         if task.kind == PROBE:
-            return Answer(probe=self._probe(task))
+            return self._probe(task)
         started, clock = _utc(), time.perf_counter()
         environment = machine.describe(task.first.budget.device)
         environment["machine"]["host"] = platform.node()
@@ -96,14 +96,15 @@ class Carrier:
             seconds=(time.perf_counter() - clock) / len(outcomes),
         )
 
-    def _probe(self, task: Task) -> Any:
-        """Of one part; None where it cannot be had: what cannot be compared is measured again."""
+    def _probe(self, task: Task) -> Answer:
+        """Of one part, or why it cannot be had: what cannot be compared is measured again."""
         if self.prober is None:
             self.prober = Prober(self.jobs, digests())
         try:
-            return self.prober.probe(task.first, task.part, dict(task.begins)).packed()
-        except Exception:
-            return None
+            found = self.prober.probe(task.first, task.part, dict(task.begins), task.timed)
+            return Answer(probe=found.packed())
+        except Exception as error:
+            return Answer(refused=registry.oneline(error))
 
     def _outcomes(self, trials: list[Trial]) -> list[Outcome]:
         jobs: list[Job | Outcome] = [_caught(lambda t=t: self.jobs.make(t)) for t in trials]

@@ -8,6 +8,7 @@ looks is a finding about the method, in words.
 from __future__ import annotations
 
 import gc
+import operator
 import os
 import random
 import resource
@@ -90,9 +91,14 @@ def changes(before: GlobalState, after: GlobalState) -> list[str]:
         if now != was:
             found.append(_sentence(name, was, now))
     for name, held in before.names.items():
-        if name in after.names:
+        if name in after.names and not _same(held.inside, after.names[name].inside):
             found += _replaced(name, held, after.names[name])
     return found
+
+
+def _same(before: dict[str, Any], now: dict[str, Any]) -> bool:
+    """Whether the same names hold the same objects, in the same order."""
+    return [*before] == [*now] and all(map(operator.is_, before.values(), now.values()))
 
 
 def _sentence(name: str, was: Any, now: Any) -> str:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 
+from harness.core.registry import oneline
 from harness.identity.probe import Probe, difference
 from harness.identity.verdict import ADAPTER, BASELINE, MATERIAL, MEASURE, SCENE, short
 from harness.runner import probing
@@ -32,6 +33,9 @@ class Probes:
     def __init__(self, plan: Plan, results: ResultsFolder, validity: Validity, execute: Executor):
         self.plan, self.results, self.validity = plan, results, validity
         self.execute = execute
+        self._timed = any(trial.timed for trial in plan.trials)
+        self.failed: dict[tuple[str, str], str] = {}
+        """Why there is no probe, by part and material: if such code changes, all is stale."""
         self._asked: dict[tuple[str, str, str], str] = {}
         self._kept = code.probes(results)
 
@@ -43,26 +47,31 @@ class Probes:
                 if part == BASELINE or (part, parts[part]) in self._kept:
                     continue
                 note(f"{trial.material}: a probe of {part}, for when the code changes")
-                made = self._made(trial, part)
-                if made is None:
+                made = self._made(trial, part, self._timed)
+                if isinstance(made, str):
                     # Without a probe nothing is known, and a change will be measured again.
                     self._kept[part, parts[part]] = ("", "")
+                    self.failed[part, trial.material] = made
                     continue
                 about = (trial.hash, self.state(trial, part))
                 code.save_probe(self.results, part, parts[part], *about, made.packed())
                 self._kept[part, parts[part]] = about
 
-    def _made(self, trial: Trial, part: str) -> Probe | None:
-        """The probe of a part as it is now; None if it fails, for whatever reason."""
+    def _made(self, trial: Trial, part: str, timed: bool) -> Probe | str:
+        """The probe of a part as it is now, or why it failed."""
         fit = self.validity.stored.get(trial.fit)
         try:
             fits = {} if fit is None else {trial.fit: Fitted.of(fit)}
             begins = self.validity.begins(trial)
-            task = Task(PROBE, (trial,), self.plan.baseline, fits, part=part, begins=begins)
-            found = carry_out(self.execute, task).probe
-            return None if found is None else Probe.unpacked(found)
-        except (DamagedFile, ValueError, KeyError):
-            return None
+            about = {"part": part, "begins": begins, "timed": timed}
+            answer = carry_out(
+                self.execute, Task(PROBE, (trial,), self.plan.baseline, fits, **about)
+            )
+            if answer.probe is not None:
+                return Probe.unpacked(answer.probe)
+            return answer.died or answer.refused
+        except (DamagedFile, ValueError, KeyError) as error:
+            return oneline(error)
 
     def state(self, trial: Trial, part: str) -> str:
         """Digest of the fitted state that a probe of the part uses; "" for none."""
@@ -100,8 +109,9 @@ class Probes:
             before = Probe.unpacked(code.probe(self.results, part, old))
         except Exception:
             return ""  # what cannot be compared is measured again
-        now = self._made(trial, part)
-        if now is None:
+        now = self._made(trial, part, timed=bool(before.work))
+        if isinstance(now, str):
+            self.failed[part, trial.material] = now
             return ""
         units = code.units(self.results, old), short(self.validity.sources(trial)[part].units)
         trained = trial.measure == FIT and part != MATERIAL

@@ -34,10 +34,10 @@ from harness.scenes import registry as scenes
 from harness.suite.trials import FIT, Trial, stream_seed
 
 TINY = {
-    "angles": 2, "batches": 6, "conditions": 4, "count": 2, "grid": 8, "levels": 2, "pairs": 16,
-    "reference_spp": 8, "repeats": 2, "resolution": 24, "resolutions": [8], "rounds": 6,
-    "samples": 16, "side": 16, "size": 8, "slice_resolution": 16, "spp": 2, "truth_spp": 24,
-    "views": 1, "walks": 4096,
+    "angles": 2, "batches": 6, "conditions": 4, "count": 2, "grid": 8, "levels": 2, "longest": 2,
+    "pairs": 16, "reference_spp": 8, "repeats": 2, "resolution": 24, "resolutions": [8],
+    "rounds": 6, "samples": 16, "side": 16, "size": 8, "slice_resolution": 16, "spp": 2,
+    "truth_spp": 24, "views": 1, "walks": 4096,
 }  # fmt: skip
 """Settings of a measure's tiny job, where it has them and they are larger.
 
@@ -56,16 +56,19 @@ class Prober:
         self.jobs, self.known = jobs, known
         self._computed: dict[tuple[Any, ...], Computed] = {}
 
-    def probe(self, trial: Trial, part: str, parts: dict[str, Part]) -> Probe:
+    def probe(self, trial: Trial, part: str, parts: dict[str, Part], timed: bool = True) -> Probe:
         """Of the ``part`` of ``trial``, whose code begins at ``parts``; takes a second or so.
+
+        ``timed``: whether its work is recorded, which takes a second run.
 
         Raises:
             Exception: whatever the code raises. Without a probe nothing is known.
         """
-        key = self._computation(trial, part)
+        key = timed, *self._computation(trial, part)
         if key not in self._computed:
+            repeated = self._repeated(trial, part) if timed else None
             self._computed[key] = computed(
-                self.known.tree, lambda: self.arrays(trial, part), self._repeated(trial, part)
+                self.known.tree, lambda: self.arrays(trial, part), repeated, timed
             )
         return self._computed[key].of(self._units(part, parts))
 

@@ -9,6 +9,7 @@ from typing import Any
 from harness.core import registry
 from harness.core.protocol.errors import InputError, Mistakes, Unsupported
 from harness.core.protocol.material import Material
+from harness.mitsuba_runtime.xml_file import checked
 from harness.runner import preflight
 from harness.suite.load import Loaded
 from harness.suite.plan import make_plan
@@ -72,7 +73,7 @@ class _Rehearsal:
             if isinstance(spec, str):
                 self._noted(where, lambda s=spec: materials.validate(s))
                 continue
-            made = self._noted(where, lambda s=spec: materials.make_tested(s))
+            made = self._noted(where, lambda s=spec: materials.make_tested(checked(s)))
             if made is not None:
                 found[item.name] = made
         return found
@@ -82,7 +83,7 @@ class _Rehearsal:
         from harness.scenes import registry as scenes
 
         made = {
-            item.name: self._noted(f"scenes[{i}]", lambda x=item: scenes.make(_spec(x)))
+            item.name: self._noted(f"scenes[{i}]", lambda x=item: scenes.make(checked(_spec(x))))
             for i, item in enumerate(self.suite.scenes)
         }
         return {name: scene for name, scene in made.items() if scene is not None}

@@ -15,6 +15,7 @@ from rich.text import Text
 from harness.analysis.renew import renew
 from harness.core.compiled import library
 from harness.core.protocol.errors import InputError
+from harness.identity.verdict import WORDS
 from harness.measures.base import FAILED
 from harness.runner import executor as executors
 from harness.runner import only as only_option
@@ -108,6 +109,7 @@ def run(plan: Plan, results: Path, options: Options, console: Console) -> int:
                 except KeyboardInterrupt:
                     interrupted = True
             store.tidy()
+            _without_probes(todo.unprobed | driver.probes.failed, console)
         if interrupted:
             _say(
                 console,
@@ -152,9 +154,13 @@ def _todo(
     found = store.trials({trial.hash for trial in plan.trials})
     stored = {key: trial for key, trial in found.items() if trial.status != DAMAGED}
     validity = Validity(plan, stored, lambda digest: code.units(store, digest))
-    if execute is not None:
-        validity.probed = Probes(plan, store, validity, execute).same
-    return make_todo(plan, stored, validity, only, options.retry_failed, options.refit)
+    probes = None if execute is None else Probes(plan, store, validity, execute)
+    if probes is not None:
+        validity.probed = probes.same
+    todo = make_todo(plan, stored, validity, only, options.retry_failed, options.refit)
+    if probes is not None:
+        todo.unprobed = probes.failed
+    return todo
 
 
 def _write_plan(plan: Plan, store: ResultsFolder) -> None:
@@ -194,6 +200,16 @@ def _explain(todo: Todo, console: Console) -> None:
         _say(console, f"  {_trials(count)} {sentence}", "yellow")
 
 
+def _without_probes(failed: dict[tuple[str, str], str], console: Console) -> None:
+    """Of which code it will not be known whether a change of it changes numbers, and why."""
+    found: dict[tuple[str, str], list[str]] = {}
+    for (part, material), why in failed.items():
+        found.setdefault((part, why), []).append(material)
+    for (part, why), materials in found.items():
+        where = f"{materials[0]}{f' and {len(materials) - 1} more' if len(materials) > 1 else ''}"
+        _say(console, f"  no probe of {WORDS[part]} ({where}): {why}", "dim")
+
+
 def _counted(todo: Todo) -> str:
     """``264 trials, 64 to do (11 of them fits), 20 more if a fit comes out different``."""
     trials = [trial for trial in todo.trials if trial.hash not in todo.doubtful]
@@ -207,8 +223,9 @@ def _counted(todo: Todo) -> str:
 
 
 def _list(plan: Plan, todo: Todo, console: Console) -> None:
-    for trial in todo.trials:
-        _say(console, f"{trial.hash}  {trial}")
+    if todo.trials:
+        # All at once: a table of a thousand trials takes a second line by line.
+        _say(console, "\n".join(f"{trial.hash}  {trial}" for trial in todo.trials))
     left = str(Pace(todo.trials, todo.stored))
     _say(console, f"{plan.suite}: {_counted(todo)}{', ' + left if left else ''}; nothing was run")
 

@@ -39,7 +39,7 @@ def described(trial: Trial) -> dict[str, Any]:
     Material, method, parameters, budget and seed. Not the device, machine or versions, which the
     record names, nor the code: a state is data, and what it gives is measured anew. The digests
     of the code that fitted it are kept beside it; where that has changed, its seconds and its loss
-    are those of another training, and shown as stale.
+    are those of an earlier version, which ``harness status`` and captions say.
     """
     method = trial.identity["method"]
     budget = {key: value for key, value in method["budget"].items() if key != "device"}

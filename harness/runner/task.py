@@ -58,7 +58,7 @@ class Task:
     """``trials`` that one call of a measure carries out together, or one trial to probe or check.
 
     ``extra`` is the first of them where it only runs along to be compared with. ``fits`` are by
-    key. A probe is of ``part``, whose code begins at ``begins``.
+    key. A probe is of ``part``, whose code begins at ``begins``; with its work if it is ``timed``.
     """
 
     kind: str
@@ -68,6 +68,7 @@ class Task:
     extra: bool = False
     part: str = ""
     begins: Mapping[str, Part] = field(default_factory=dict)
+    timed: bool = False
 
     @property
     def first(self) -> Trial:

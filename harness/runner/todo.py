@@ -46,7 +46,8 @@ class Todo:
 
     ``stored`` are the planned trials that are there, ``stale`` why some of them do not hold any
     more, ``equivalent`` that their code changed and their numbers did not. ``doubtful`` ones are
-    to be measured only if their fit, which is made again, comes out different.
+    to be measured only if their fit, which is made again, comes out different. ``unprobed`` is why
+    some code could not be probed, by part and material.
     """
 
     units: list[Unit]
@@ -55,6 +56,7 @@ class Todo:
     stale: dict[str, Verdict] = field(default_factory=dict)
     doubtful: frozenset[str] = frozenset()
     equivalent: dict[str, Verdict] = field(default_factory=dict)
+    unprobed: dict[tuple[str, str], str] = field(default_factory=dict)
 
     @property
     def trials(self) -> list[Trial]:
@@ -77,9 +79,10 @@ def make_todo(
     ``refit``, fits that came with the harness, and what was measured with them, are to be done.
     """
     by_hash = _one_label_each(plan)
-    verdicts = {h: validity.verdict(by_hash[h]) for h in stored if h in by_hash}
     # A fit that came with the harness is data: other code would not make it another one.
-    stale = {h: v for h, v in verdicts.items() if not (v.stands or stored[h].shipped)}
+    judged = [h for h, found in stored.items() if h in by_hash and not found.shipped]
+    verdicts = {h: validity.verdict(by_hash[h]) for h in judged}
+    stale = {h: v for h, v in verdicts.items() if not v.stands}
     present = {h: found for h, found in stored.items() if h not in stale}
     if refit:
         came = {h for h, found in present.items() if found.shipped}

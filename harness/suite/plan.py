@@ -14,6 +14,7 @@ from harness.core.protocol.method import Budget
 from harness.core.sizes import TRIALS
 from harness.identity.named_files import replaced
 from harness.measures import registry as measures
+from harness.mitsuba_runtime.xml_file import checked
 from harness.suite import fast, seeds
 from harness.suite.load import Loaded
 from harness.suite.resolve import Resolved
@@ -157,12 +158,14 @@ class _Expansion:
         self.of_first_fits = {m.name for m in suite.measures if m.first_fit_only}
         self.kinds = {name: measures.load(name) for name in self.settings}
         _each("methods", suite.methods, lambda m: registry.find(m.name))
-        self.materials = _each("materials", suite.materials, lambda m: materials.identity(_spec(m)))
+        self.materials = _each(
+            "materials", suite.materials, lambda m: materials.identity(checked(_spec(m)))
+        )
         self.resolved = Resolved()
         self.scenes = _each(
             "scenes",
             suite.scenes,
-            lambda s: scenes.identity_of(_spec(s), self.resolved.scene_of(_spec(s))),
+            lambda s: scenes.identity_of(_spec(s), self.resolved.scene_of(checked(_spec(s)))),
         )
         self.methods = [self._overridden(m) for m in _chosen(suite.methods, profile.methods)]
         self.described = {

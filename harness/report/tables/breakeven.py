@@ -10,7 +10,7 @@ from harness.analysis.bias import bias_warnings
 from harness.analysis.breakeven import TIMES, CostLine, Costs, costs, timed_scenes
 from harness.analysis.results import MethodColumn, Results
 from harness.report.table import Cell, Row, Section, Table
-from harness.report.tables.common import circumstances
+from harness.report.tables.common import circumstances, of_earlier_fits
 from harness.stats.crossing import Crossing
 
 ORDER = 70
@@ -57,7 +57,8 @@ def breakeven(results: Results) -> Table | str:
         title="Break-even",
         caption=(
             "Samples after which a method's total time to the same error is less than its rival's."
-            f"{f' Scene: {scenes[0]}.' if len(scenes) == 1 else ''} {said}"
+            f"{f' Scene: {scenes[0]}.' if len(scenes) == 1 else ''} {said} "
+            f"{of_earlier_fits(results)}"
         ).strip(),
         corner="material",
         columns=[method.label for method in results.methods],

@@ -7,6 +7,7 @@ from typing import Any
 
 from harness.analysis.combine import Estimate
 from harness.analysis.results import MethodColumn, Results
+from harness.analysis.validity import said_of_earlier
 from harness.report.table import Cell, Row, embolden
 
 Number = Callable[[str, MethodColumn], Estimate | str]
@@ -105,6 +106,12 @@ def circumstances(results: Results, measure: str, *counts: str, timed: bool = Fa
     for reason, count in results.stale(measure).items():
         text += f" {count} trial{'s' * (count != 1)} {reason}."
     return text.strip()
+
+
+def of_earlier_fits(results: Results) -> str:
+    """A sentence of a caption about shipped fits by an earlier version of the code; "" if none."""
+    said = said_of_earlier(len(results.earlier))
+    return f"{said}." if said else ""
 
 
 def machine(results: Results, trial: str) -> str:

@@ -12,7 +12,7 @@ from harness.analysis.process_pooling import DISTURBED
 from harness.analysis.quantities import nanoseconds_per_sample, scaled
 from harness.analysis.results import MethodColumn, Results
 from harness.report.table import Cell, Row, Section, Table
-from harness.report.tables.common import cell, circumstances
+from harness.report.tables.common import cell, circumstances, of_earlier_fits
 
 ORDER = 60
 _FITTED: tuple[tuple[str, str, Callable[[float], str]], ...] = (
@@ -60,7 +60,7 @@ def timing(results: Results) -> Table | str:
             f"Steady state: milliseconds for one sample in each{image} of a render, and "
             "nanoseconds for one such sample; medians over rounds, geometric mean over materials, "
             "95% intervals. Fit, load, parameters and size: median over materials."
-            f"{where} {said}"
+            f"{where} {said} {of_earlier_fits(results) if fitted else ''}"
         ).strip(),
         corner="method",
         columns=columns,
