@@ -140,7 +140,9 @@ def test_the_other_samples_find_the_same_variance() -> None:
     """Of a method in torch and of one over columns, in an environment map too."""
     for method in (Uneven(0.4), registry.make("cosine")):
         for scene in ("uniform-sphere", "studio-sphere"):
-            outcome = equal_spp(method, PLASTER, scene, longest=1, spp=128, resolution=16)
+            outcome = equal_spp(
+                method, PLASTER, scene, longest=1, spp=128, resolution=16, max_seconds=1e3
+            )
             plain = float(outcome.arrays["batch_variance"].mean())
             other = pooling.other_variance(outcome.arrays)
             apart = abs(np.log(other.value / plain))
