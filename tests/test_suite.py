@@ -86,6 +86,15 @@ def test_profile_takes_a_part_and_overrides(tmp_path: Path):
     assert clock.settings == {"resolution": 99}
 
 
+def test_a_measure_is_planned_where_it_says_something(tmp_path: Path):
+    scenes = {"scenes": ["uniform-sphere", "studio-sphere"], "measures": ["constant-light"]}
+    plan = make_plan(load(fakes.suite(tmp_path, **scenes)))
+    assert plan.labels("scene") == ["uniform-sphere"]
+    studio = load(fakes.suite(tmp_path, **scenes | {"scenes": ["studio-sphere"]}))
+    with pytest.raises(InputError, match="'constant-light': scene 'studio-sphere' has light"):
+        make_plan(studio)
+
+
 def test_labels_show_parameters(tmp_path: Path):
     both = [{"name": "adapters.py:Named", "params": {"scale": 2.0}}, "adapters.py:Named"]
     plan = plan_of(tmp_path, methods=both, baseline=None)

@@ -105,6 +105,11 @@ class Measure(ABC):
         return cls.timed if cls.machine_bound is None else cls.machine_bound
 
     @classmethod
+    def why_not(cls, scene: Any) -> str:
+        """Why the measure says nothing of that scene, where it is not planned then; else ""."""
+        return ""
+
+    @classmethod
     def later_processes(cls, first: Outcome) -> dict[str, Any]:
         """Settings of a job in the processes that repeat it, after what the ``first`` found.
 

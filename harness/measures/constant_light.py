@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 import torch
@@ -55,13 +55,19 @@ class ConstantLight(Measure):
         points: Annotated[int, Field(ge=8, multiple_of=8)] = 128
         pixels: Annotated[int, Field(ge=2)] = 4096
 
+    @classmethod
+    def why_not(cls, scene: Any) -> str:
+        """See :meth:`Measure.why_not`."""
+        constant = in_constant_light(scene)
+        return "" if constant else f"scene '{scene.name}' has light that is not constant"
+
     def run(self, jobs: list[Job], notify: Callable[[str], None]) -> list[Outcome]:
         """See :class:`Measure`."""
         return [self._one(job, self.Settings(**job.settings), notify) for job in jobs]
 
     def _one(self, job: Job, settings: Settings, notify: Callable[[str], None]) -> Outcome:
-        if not in_constant_light(job.scene):
-            raise Unsupported(f"scene '{job.scene.name}' has light that is not constant")
+        if why := self.why_not(job.scene):
+            raise Unsupported(why)
         if not defensive.applies(job.method, job.scene):
             raise Unsupported(f"an estimate of {job.method.name} is not f / p of one bounce")
         if isinstance(job.material, WalkFamily):

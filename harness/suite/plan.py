@@ -167,6 +167,10 @@ class _Expansion:
             suite.scenes,
             lambda s: scenes.identity_of(_spec(s), self.resolved.scene_of(checked(_spec(s)))),
         )
+        for name, kind in self.kinds.items():
+            said = [self._why_not(name, scene) for scene in suite.scenes if kind.needs_scene]
+            if said and all(said):
+                raise InputError(f"measures: '{name}': {'; '.join(said)}")
         self.methods = [self._overridden(m) for m in _chosen(suite.methods, profile.methods)]
         self.described = {
             method.label: {
@@ -242,10 +246,15 @@ class _Expansion:
                 found.append(self._trial(one, name))
                 continue
             for scene in _chosen(self.suite.scenes, self.profile.scenes):
+                if self._why_not(name, scene):
+                    continue
                 here = {**one.identity, "scene": self.scenes[scene.name]}
                 placed = replace(one, scene=scene.name, scene_spec=_spec(scene), identity=here)
                 found.append(self._trial(placed, name))
         return found
+
+    def _why_not(self, measure: str, scene: NamedSpec) -> str:
+        return self.kinds[measure].why_not(self.resolved.scene_of(_spec(scene)))
 
     def _trial(self, blank: Trial, name: str) -> Trial:
         """``blank`` with the measure ``name`` filled in, and its hash."""
