@@ -111,7 +111,8 @@ def _flow_works(width: int, layers: int, activation: str) -> dict[str, Callable[
     conditions, at = Encoded.plain(columns_of(encoded)), columns_of(x)
 
     def run() -> None:
-        dr.eval(discrete_flow_columns.forward(flow, at, net.shared_columns(conditions)))
+        moved = discrete_flow_columns.forward(flow, at, net.shared_columns(conditions))
+        dr.eval(moved.x, moved.det)
         dr.sync_thread()
 
     def in_dr_jit() -> None:
