@@ -13,6 +13,7 @@ import yaml
 from harness import Budget
 from harness.core import machine
 from harness.core.protocol.errors import InputError
+from harness.mitsuba_runtime import variant
 from harness.runner.validity import Validity
 from harness.suite import load as loading
 from harness.suite import plan as planning
@@ -87,6 +88,7 @@ def test_profile_takes_a_part_and_overrides(tmp_path: Path):
 
 
 def test_a_measure_is_planned_where_it_says_something(tmp_path: Path):
+    variant.use("cpu")  # the measure's module names Mitsuba's types
     scenes = {"scenes": ["uniform-sphere", "studio-sphere"], "measures": ["constant-light"]}
     plan = make_plan(load(fakes.suite(tmp_path, **scenes)))
     assert plan.labels("scene") == ["uniform-sphere"]
