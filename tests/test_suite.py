@@ -13,7 +13,7 @@ import yaml
 from harness import Budget
 from harness.core import machine
 from harness.core.protocol.errors import InputError
-from harness.mitsuba_runtime import variant
+from harness.measures import registry as measures
 from harness.runner.validity import Validity
 from harness.suite import load as loading
 from harness.suite import plan as planning
@@ -87,14 +87,17 @@ def test_profile_takes_a_part_and_overrides(tmp_path: Path):
     assert clock.settings == {"resolution": 99}
 
 
-def test_a_measure_is_planned_where_it_says_something(tmp_path: Path):
-    variant.use("cpu")  # the measure's module names Mitsuba's types
-    scenes = {"scenes": ["uniform-sphere", "studio-sphere"], "measures": ["constant-light"]}
-    plan = make_plan(load(fakes.suite(tmp_path, **scenes)))
-    assert plan.labels("scene") == ["uniform-sphere"]
-    studio = load(fakes.suite(tmp_path, **scenes | {"scenes": ["studio-sphere"]}))
-    with pytest.raises(InputError, match="'constant-light': scene 'studio-sphere' has light"):
-        make_plan(studio)
+def test_a_measure_is_planned_where_it_says_something(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    def why_not(cls: type, scene: Any) -> str:
+        return "" if scene.name == "fake-room" else f"{scene.name} is dark"
+
+    monkeypatch.setattr(measures.load("clock"), "why_not", classmethod(why_not))
+    both = plan_of(tmp_path, scenes=["fake-room", "fake-cave"], measures=["clock"])
+    assert both.labels("scene") == ["fake-room"]
+    with pytest.raises(InputError, match="measures: 'clock': fake-cave is dark"):
+        plan_of(tmp_path, scenes=["fake-cave"], measures=["clock"])
 
 
 def test_labels_show_parameters(tmp_path: Path):
