@@ -15,12 +15,13 @@ from harness.core.columns.bridge import columns_of, tensor_of
 from harness.core.compiled import build, history, instruction_sets, library
 from harness.core.compiled.transpose import transposed
 from harness.core.protocol.errors import InputError
-from harness.nets import spline
+from harness.nets import compiled_flow, spline
 from harness.nets.activations import ACTIVATIONS
 from harness.nets.compiled_network import MOST, MOST_BINS, MOST_ROWS, usable
 from harness.nets.coupling import CouplingNet
 from harness.nets.encoding import ConditionEncoder, Encoded
 from harness.nets.mlp import MLP
+from harness.nets.velocity import Velocity
 
 each_example = settings(max_examples=25, deadline=None, derandomize=True, database=None)
 HERE = instruction_sets.available()
@@ -133,6 +134,12 @@ def test_wider_registers_than_this_processors_give_the_same_bits(tmp_path, monke
     found = tensor_of(*network.compiled(usual)(x), rows=500)
     network._packed = b"", {}
     assert torch.equal(tensor_of(*network.compiled(other)(x), rows=500), found)
+    velocity = Velocity(9, 20, 2).requires_grad_(False)
+    torch.nn.init.normal_(velocity.layers[-1].weight, std=0.1)
+    at = columns_of(rand(500, 2, seed=1))
+    for way in (compiled_flow.FORWARD, compiled_flow.ENDPOINT, compiled_flow.INVERSE):
+        one, two = (velocity.compiled(made).run(way, 4, x, at) for made in (usual, other))
+        assert torch.equal(tensor_of(*one, rows=500), tensor_of(*two, rows=500)), way
 
 
 @needs_compiler
