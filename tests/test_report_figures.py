@@ -14,10 +14,11 @@ from matplotlib.lines import Line2D
 from harness.analysis.combine import Estimate
 from harness.analysis.quantities import nanoseconds_per_sample
 from harness.analysis.results import MethodColumn, Results
-from harness.report.figures.canvas import Canvas, styled
+from harness.report.figures.canvas import Canvas
 from harness.report.figures.palette import looks
 from harness.report.figures.rendered import exposure, reference, srgb
 from harness.report.figures.small_multiples import Labels, panels
+from harness.report.figures.style import styled
 from harness.report.figures.tradeoff import Point, _front
 from harness.report.parts import part, parts
 from harness.report.series.shots import telling_squares, worst_square

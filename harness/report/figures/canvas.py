@@ -1,17 +1,15 @@
-"""Where figures are saved, and how they all look."""
+"""Where figures are saved."""
 
 from __future__ import annotations
 
 import math
 import re
 import textwrap
-from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeVar
 
-import matplotlib as mpl
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
@@ -29,36 +27,6 @@ _PNG_LEVEL = 4
 """Of zlib: the default, 6, takes up to three times as long for 1 to 3 % of size."""
 _CSS_PIXELS = 110
 """Per inch on the page: a little larger than life, so that small print can be read."""
-_STYLE = {
-    "font.family": "sans-serif",
-    "font.sans-serif": ["DejaVu Sans"],
-    "font.size": 8.0,
-    "axes.titlesize": 9.0,
-    "axes.labelsize": 8.0,
-    "xtick.labelsize": 7.0,
-    "ytick.labelsize": 7.0,
-    "legend.fontsize": 8.0,
-    "axes.titley": 1.0,  # where it is: not looked for above all that the axes have
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.linewidth": 0.6,
-    "axes.edgecolor": "#555555",
-    "xtick.color": "#444444",
-    "ytick.color": "#444444",
-    "xtick.minor.width": 0.4,
-    "ytick.minor.width": 0.4,
-    "grid.color": "#e2e2e2",
-    "grid.linewidth": 0.5,
-    "axes.axisbelow": True,
-    "legend.frameon": False,
-    "figure.facecolor": "white",
-    "savefig.facecolor": "white",
-    "pdf.fonttype": 42,  # TrueType, so that the text of a PDF can be edited and searched
-    "svg.hashsalt": "harness",
-    "text.parse_math": False,  # a name may have dollars in it
-}
-
-
 _STEPS = (
     (0.3, (1.0, 1.2, 1.4, 1.6, 1.8, 2.0, 2.5, 3.0, 3.5, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0)),
     (0.6, (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0)),
@@ -122,13 +90,6 @@ def _rasterised(pdf: Path) -> Image:
     """The page of a PDF as pixels: a tenth of the time that drawing the figure again takes."""
     with PdfDocument(pdf) as document:
         return document[0].render(scale=DPI / _POINTS).to_pil()
-
-
-@contextmanager
-def styled() -> Iterator[None]:
-    """The look of all figures, for as long as the context lasts."""
-    with mpl.rc_context(_STYLE):
-        yield
 
 
 def log_ticks(panel: Axes) -> None:

@@ -10,9 +10,10 @@ from matplotlib.patches import Rectangle
 from numpy.typing import NDArray
 
 from harness.analysis.results import Results
-from harness.report.figures.canvas import Canvas, Drawn, picture, sheet, styled, wrapped
+from harness.report.figures.canvas import Canvas, Drawn, picture, sheet, wrapped
 from harness.report.figures.rendered import LUMINANCE, exposure, srgb
 from harness.report.figures.slices import missing
+from harness.report.figures.style import styled
 from harness.report.formats.short import short
 from harness.report.series.shots import MEASURE, Shot, Square, shots, truth, worst_square
 

@@ -38,18 +38,23 @@ def place(
     lines: Sequence[tuple[float, float]] = (),
     taken: Sequence[Bbox] = (),
     size: float = 6.0,
+    within: tuple[float, float, float, float] | None = None,
 ) -> list[Label]:
     """Write ``labels``; those for which there is no room are given back.
 
-    ``points`` are the markers to keep clear of, ``taken`` boxes in pixels. If it can be had, a
-    label also keeps clear of the line through ``lines``, and is nearer to its own point
-    than to any other label's; else a thin line leads to its point. The figure must have its
-    final layout.
+    They stay in the panel, or in the box ``within`` (left, bottom, width, height; in data
+    coordinates). ``points`` are the markers to keep clear of, ``taken`` boxes in pixels. If it can
+    be had, a label also keeps clear of the line through ``lines``, and is nearer to its own point
+    than to any other label's; else a thin line leads to its point. The figure must have its final
+    layout.
     """
     renderer = FigureCanvasAgg(panel.figure).get_renderer()
     pixel = panel.figure.dpi / 72  # per point
-    inside = panel.get_window_extent(renderer)
     to_pixels = panel.transData.transform
+    inside = panel.get_window_extent(renderer)
+    if within is not None:
+        left, bottom, width, height = within
+        inside = Bbox([to_pixels((left, bottom)), to_pixels((left + width, bottom + height))])
     boxes = [*taken, *(_around(to_pixels(p), _MARKER * pixel) for p in points)]
     along = _dots([to_pixels(p) for p in lines], pixel)
     anchors = [to_pixels((item.x, item.y)) for item in labels]

@@ -23,6 +23,29 @@ class Look:
     marker: str
     dash: Any = "-"
 
+    @property
+    def ink(self) -> str:
+        """The colour for words: darker where it is too light to read on white."""
+        share = min(1.0, (_WORDS / max(luminance(self.colour), 1e-9)) ** (1 / 2.2))
+        return "#" + "".join(f"{round(share * c):02x}" for c in _bytes(self.colour))
+
+
+_WORDS = 0.16
+"""The most luminance of words on white: a contrast of five to one."""
+
+
+def luminance(colour: str) -> float:
+    """Relative luminance of ``#rrggbb``, 0 to 1 (sRGB, Rec. 709): what is left in grey."""
+    linear = [
+        c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4
+        for c in (byte / 255 for byte in _bytes(colour))
+    ]
+    return 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]
+
+
+def _bytes(colour: str) -> list[int]:
+    return [int(colour[i : i + 2], 16) for i in (1, 3, 5)]
+
 
 _KNOWN = {
     "cosine": Look("#8c8c8c", "o", _DOTTED),

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -71,11 +70,6 @@ def panels(
         handles=list(handles), loc="lower center", ncols=legend_columns, handlelength=handle_length
     )
     return figure, found
-
-
-def outline(at: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """The band between two curves [P] as a closed line [2 P, 2]."""
-    return np.concatenate([np.stack((at, low), -1), np.stack((at, high), -1)[::-1]])
 
 
 def _panel(
