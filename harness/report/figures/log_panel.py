@@ -80,12 +80,12 @@ class LogPanel:
             if y_numbers:
                 ink.text(left - 2 * _TICK, y, numbered(value), ha="right", fontsize=TICK)
 
-    def title(self, ink: Ink, words: str, emphasised: bool = False) -> None:
+    def title(self, ink: Ink, words: str) -> None:
         """Words above the panel."""
         left, bottom, width, height = self.box
         ink.text(
             left + width / 2, bottom + height + 0.04, words, ha="center", va="bottom",
-            fontsize=TITLE, style="italic" if emphasised else "normal",
+            fontsize=TITLE,
         )  # fmt: skip
 
     def guides(self, ink: Ink, slope: float, through: float, colour: str) -> None:

@@ -97,7 +97,7 @@ def _sheet(
     large = LogPanel(
         (_LEFT, height - _TITLE - _LARGE, PAGE - _LEFT - 0.1, _LARGE), x, _range(of[first])
     )
-    large.title(ink, first, emphasised=first == _ALL)
+    large.title(ink, first)
     large.frame(ink, most=6)
     left, bottom, wide, tall = large.box
     ink.text(left + wide / 2, bottom - 0.3, "ns per rendered sample", ha="center")
