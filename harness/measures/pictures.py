@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -56,7 +55,7 @@ class Pictures(Measure):
             seed = 800_000 + 7919 * entrant.job.seed
             entrant.render(1, seed)  # compiles
             known = entrant.render(1, seed + 1).seconds
-            renders.append(DeadlineRender(entrant.kept, known, settings.deadline, seed + 2))
+            renders.append(DeadlineRender(entrant.render, known, settings.deadline, seed + 2))
         notify(f"{settings.deadline:g} s each, {len(entrants)} methods")
         render_to_deadlines(renders)
         notify(f"{jobs[0].material.name}: reference")
@@ -67,34 +66,29 @@ class Pictures(Measure):
 
 @dataclass
 class _Entrant:
-    """A method, and sums over its chunks of luminance [H, W] and its square, each by samples."""
+    """A method, and sums over its renders of luminance [H, W] and its square, each by samples."""
 
     job: Job
     prepared: Prepared
-    chunks: int = 0
+    renders: int = 0
     spp: int = 0
     total: NDArray | float = 0.0
     squares: NDArray | float = 0.0
-    within: float = math.nan
-    """Variance of one sample as the last chunk has it; nan of a single sample."""
 
     def render(self, spp: int, seed: int) -> Pass:
-        return checked(self.prepared.render(spp, seed), self.job)
-
-    def kept(self, spp: int, seed: int) -> Pass:
-        rendered = self.render(spp, seed)
-        self.chunks, self.spp = self.chunks + 1, self.spp + spp
+        rendered = checked(self.prepared.render(spp, seed), self.job)
+        self.renders, self.spp = self.renders + 1, self.spp + spp
         self.total = self.total + spp * rendered.mean
         self.squares = self.squares + spp * np.square(rendered.mean)
-        self.within = rendered.error(self.prepared.mask)
         return rendered
 
     @property
     def variance(self) -> float:
-        """Of one sample, mean over the pixels that count: from how the chunks' means differ."""
-        if self.chunks < 2:
-            return self.within
-        between = (self.squares - np.square(self.total) / self.spp) / (self.chunks - 1)
+        """Of one sample, mean over the pixels that count: from how the renders' means differ.
+
+        Those of the warm-up count, so that there are two at least.
+        """
+        between = (self.squares - np.square(self.total) / self.spp) / (self.renders - 1)
         return float(between[self.prepared.mask].mean())
 
     def outcome(self, render: DeadlineRender, truth: Pass) -> Outcome:
