@@ -64,7 +64,7 @@ def test_equal_time():
 
 def test_pictures():
     """An image of each, the reference with the baseline's; the error is that of the image."""
-    given = {"size": 16, "deadline": 0.05, "reference_spp": 64}
+    given = {"picture_size": 16, "deadline": 0.05, "reference_spp": 64}
     material = Plaster()
     methods = [Uneven(0.4), Uneven()]
     jobs = [job("pictures", m, material, baseline=i == 1, **given) for i, m in enumerate(methods)]

@@ -32,10 +32,13 @@ class Pictures(Measure):
     timed = True
 
     class Settings(BaseSettings):
-        """A picture has ``size`` pixels a side; a method that would need more than ``patience``
-        seconds for two samples in each is not begun."""
+        """A picture has ``picture_size`` pixels a side.
 
-        size: int = 256
+        A method that would need more than ``patience`` seconds for two samples of each is not
+        begun.
+        """
+
+        picture_size: int = 256
         deadline: float = 0.4
         reference_spp: int = 256
         patience: float = 60.0
@@ -43,9 +46,9 @@ class Pictures(Measure):
     def run(self, jobs: list[Job], notify: Callable[[str], None]) -> list[Outcome]:
         """See :class:`Measure`."""
         settings = self.Settings(**jobs[0].settings)
-        slow = [too_slow(job, settings.size, 2, settings.patience) for job in jobs]
+        slow = [too_slow(job, settings.picture_size, 2, settings.patience) for job in jobs]
         entrants = [
-            _Entrant(job, prepare(job.scene, job.material, job.method, settings.size))
+            _Entrant(job, prepare(job.scene, job.material, job.method, settings.picture_size))
             for job, reason in zip(jobs, slow, strict=True)
             if not reason
         ]
@@ -59,7 +62,7 @@ class Pictures(Measure):
         notify(f"{settings.deadline:g} s each, {len(entrants)} methods")
         render_to_deadlines(renders)
         notify(f"{jobs[0].material.name}: reference")
-        truth = reference(jobs[0], settings.size, settings.reference_spp)
+        truth = reference(jobs[0], settings.picture_size, settings.reference_spp)
         found = (e.outcome(r, truth) for e, r in zip(entrants, renders, strict=True))
         return [Outcome("timeout", reason) if reason else next(found) for reason in slow]
 
