@@ -130,7 +130,8 @@ def tick_label(value: float) -> str:
         return f"{value:g}"
     # Ticks are single digits times a power of ten, or 1.5 of them.
     power = math.floor(math.log10(value) + 1e-9)
-    return numbers.plain(value, -power if math.isclose(value / 10**power % 1, 0) else 1 - power)
+    digit = value / 10.0**power
+    return numbers.plain(value, -power if math.isclose(digit, round(digit)) else 1 - power)
 
 
 def powers_of_ten(value: float) -> str:

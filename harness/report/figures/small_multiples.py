@@ -8,6 +8,9 @@ from dataclasses import dataclass
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
+
+from harness.report.figures.log_panel import tick_label, ticks
 
 _LEFT, _RIGHT, _ABOVE, _BELOW = 0.6, 0.12, 0.28, 0.48
 """Inches around a panel's axes: labels of its y axis, air, its title, labels of its x axis."""
@@ -70,6 +73,16 @@ def panels(
         handles=list(handles), loc="lower center", ncols=legend_columns, handlelength=handle_length
     )
     return figure, found
+
+
+def log_ticks(panel: Axes) -> None:
+    """Labels where a logarithmic axis needs them: decades, or between where it spans less."""
+    for axis in (panel.xaxis, panel.yaxis):
+        low, high = axis.get_view_interval()
+        axis.set_major_locator(FixedLocator(ticks((low, high), 5)))
+        axis.set_major_formatter(FuncFormatter(lambda value, _: tick_label(value)))
+        # Between its labels a small panel has none: they would take longer than all its lines.
+        axis.set_minor_locator(NullLocator())
 
 
 def _panel(
