@@ -10,13 +10,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from matplotlib.ft2font import FT2Font
 from matplotlib.lines import Line2D
 
 from harness.analysis.combine import Estimate
 from harness.analysis.quantities import nanoseconds_per_sample
 from harness.analysis.records.convergence import curve_of
 from harness.analysis.results import MethodColumn, Results
-from harness.report.figures import palette
+from harness.report.figures import fonts, palette
 from harness.report.figures.canvas import Canvas
 from harness.report.figures.curve_grid import groups
 from harness.report.figures.log_panel import LogPanel, powers_of_ten, tick_label, ticks
@@ -65,6 +66,27 @@ def test_looks_are_told_apart_in_grey():
     assert palette.luminance("#ffffff") == pytest.approx(1)
     assert not palette.told_apart(palette.Look("#101010", "o"), palette.Look("#181818", "h"))
     assert palette.told_apart(palette.Look("#101010", "o"), palette.Look("#cccccc", "h"))
+
+
+def test_the_font_of_figures_is_kept_or_else_taken_whole(tmp_path: Path, monkeypatch):
+    """Same letters, same widths; a name in another script is in the whole font."""
+    nowhere = tmp_path / "file"
+    nowhere.write_text("")
+    sizes = {}
+    for kept, folder in (("kept", tmp_path), ("whole", nowhere)):
+        monkeypatch.setattr(fonts.fontManager, "ttflist", list(fonts.fontManager.ttflist))
+        monkeypatch.setattr(fonts.mpl, "get_cachedir", lambda folder=folder: str(folder))
+        fonts.family.cache_clear()
+        names = fonts.family()
+        entries = [e for e in fonts.fontManager.ttflist if e.name == names[0]]
+        plain = next(e for e in entries[-4:] if e.style == "normal" and e.weight == 400)
+        sizes[kept] = Path(plain.fname).stat().st_size
+        font = FT2Font(plain.fname)
+        sizes[kept, "widths"] = [font.load_char(ord(c)).horiAdvance for c in "spp χ²−⁵é"]
+        monkeypatch.undo()
+    fonts.family.cache_clear()
+    assert sizes["kept"] < 0.5 * sizes["whole"]
+    assert sizes["kept", "widths"] == sizes["whole", "widths"]
 
 
 def test_ticks_are_round_few_and_in_range():

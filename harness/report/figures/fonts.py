@@ -35,18 +35,25 @@ def family() -> list[str]:
 
 
 def _small(entry: FontEntry) -> FontEntry:
-    from fontTools import subset
-
     source = Path(entry.fname)
     made = Path(mpl.get_cachedir()) / f"{source.stem}-{source.stat().st_size}-harness.ttf"
-    if not made.is_file():
-        # The time at which it is made would be in it, and so in what is made with it.
-        options = subset.Options(recalc_timestamp=False, drop_tables=[*_DROPPED, "FFTM"])
-        font = subset.load_font(str(source), options)
-        picked = subset.Subsetter(options)
-        picked.populate(unicodes=chain.from_iterable(range(*ends) for ends in _LETTERS))
-        picked.subset(font)
-        part = made.with_suffix(f".{os.getpid()}.part")
-        subset.save_font(font, str(part), options)
-        part.replace(made)
+    try:
+        if not made.is_file():
+            _make(source, made)
+    except OSError:  # no place to keep it: the whole font looks the same
+        made = source
     return replace(entry, fname=str(made), name=_NAME)
+
+
+def _make(source: Path, made: Path) -> None:
+    from fontTools import subset
+
+    # The time at which it is made would be in it, and so in what is made with it.
+    options = subset.Options(recalc_timestamp=False, drop_tables=[*_DROPPED, "FFTM"])
+    font = subset.load_font(str(source), options)
+    picked = subset.Subsetter(options)
+    picked.populate(unicodes=chain.from_iterable(range(*ends) for ends in _LETTERS))
+    picked.subset(font)
+    part = made.with_suffix(f".{os.getpid()}.part")
+    subset.save_font(font, str(part), options)
+    part.replace(made)
