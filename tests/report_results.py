@@ -184,6 +184,25 @@ class Made:
         arrays = {"batch_variance": np.full(12, variance)}
         return Outcome(records=records, arrays=arrays, images={"mean": np.maximum(image, 0)})
 
+    def _pictures(self, random, chi2, variance, seconds, material, method) -> Outcome:
+        """Of twice the size that the renders have which are timed."""
+        image = np.kron(self._sphere(material), np.ones((2, 2, 1)))
+        images = {"picture": np.maximum(image + 0.01 * random.standard_normal(image.shape), 0)}
+        if method == "improved-baseline":
+            images["reference"] = image
+        arrays = {
+            "chunk_spp": np.array([4, 3]),
+            "chunk_seconds": np.array([0.2, 0.2]),
+            "variance": np.array(variance),
+            "squared_mean": np.array(0.1),
+            "mask": np.ones(image.shape[:2], bool),
+        }
+        records = [
+            Record("spp-achieved", 7.0, unit="1"),
+            Record("relative-mse", variance / 7 / 0.1, unit="1"),
+        ]
+        return Outcome(records=records, arrays=arrays, images=images)
+
     def _equal_time(self, random, chi2, variance, seconds, material, method) -> Outcome:
         pixels = self.size**2
         rounds = seconds * pixels * (1 + 0.03 * random.random(self.rounds))

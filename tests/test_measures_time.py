@@ -62,6 +62,27 @@ def test_equal_time():
         assert outcome.arrays["round_spp"] >= 2
 
 
+def test_pictures():
+    """An image of each, the reference with the baseline's; the error is that of the image."""
+    given = {"picture_size": 16, "deadline": 0.05, "reference_spp": 64}
+    material = Plaster()
+    methods = [Uneven(0.4), Uneven()]
+    jobs = [job("pictures", m, material, baseline=i == 1, **given) for i, m in enumerate(methods)]
+    uneven, base = run("pictures", jobs, lambda said: None)
+    assert set(uneven.images) == {"picture"} and set(base.images) == {"picture", "reference"}
+    mask, right = base.arrays["mask"], base.images["reference"]
+    for outcome in (uneven, base):
+        found = values(outcome)
+        assert outcome.images["picture"].shape == (16, 16, 3) == right.shape
+        assert found["spp-achieved"] == outcome.arrays["chunk_spp"].sum()
+        off = (outcome.images["picture"] - right)[mask].mean(1)
+        power = np.square(right[mask].mean(1)).mean()
+        # Grey, so that luminance is the mean; the reference has noise of its own.
+        assert found["relative-mse"] == pytest.approx(np.square(off).mean() / power, rel=0.5)
+    ratio = uneven.arrays["variance"] / base.arrays["variance"]
+    assert ratio > 1  # what chooses the wrong half has the larger variance
+
+
 class Glacial(Uneven):
     """0.15 s a row, and not to be asked for an image."""
 

@@ -73,6 +73,20 @@ def test_what_does_not_depend_on_the_fit_is_measured_with_the_first(tmp_path: Pa
         load(fakes.suite(tmp_path, methods=methods))
 
 
+def test_a_measure_may_be_of_some_materials_and_scenes(tmp_path: Path):
+    """Trials of the others are not planned; those that are have the keys that they had."""
+    measures = ["probe", {"name": "clock", "materials": ["fake-b"]}]
+    plan = make_plan(load(fakes.suite(tmp_path, measures=measures)))
+    clocked = {t.material for t in plan.trials if t.measure == "clock"}
+    assert clocked == {"fake-b"} < {t.material for t in plan.trials if t.measure == "probe"}
+    whole = make_plan(load(fakes.suite(tmp_path / "whole")))
+    assert {t.hash for t in plan.trials} < {t.hash for t in whole.trials}
+    for key, wrong in (("materials", "fake-c"), ("scenes", "nowhere")):
+        measures = [{"name": "clock", key: [wrong]}]
+        with pytest.raises(InputError, match=rf"measures\[0\]\.{key}.*{wrong}"):
+            load(fakes.suite(tmp_path, measures=measures))
+
+
 def test_a_profile_has_its_own(tmp_path: Path):
     """And a seed that stands twice is refused, with its place."""
     quick = {"training_seeds": [4]}

@@ -25,6 +25,7 @@ from harness.stats.crossing import Crossing, crossing
 from harness.stats.distributions import t_quantile
 from harness.stats.levels import over_seeds_draws
 from harness.stats.log_estimate import FEWEST, log_mean, log_median
+from harness.store.frame import STALE
 
 DRAWS = 4000
 TIMES = ("equal-time", "cost")
@@ -171,7 +172,9 @@ def _stored(
                 return found
             return {seed: array / _pixels(results, trials[seed]) for seed, array in found.items()}
         if not trials:
-            reasons.append(results.why_missing(measure, material, method, scene))
+            old = any(row["status"] == STALE for row in rows)
+            why = results.why_missing(measure, material, method, scene)
+            reasons.append(f"the numbers of {measure} are stale" if old else why)
     needs = "a time per sample" if name == "seconds" else "a variance"
     return reasons[0] if reasons else f"not measured: {needs} takes one of {', '.join(measures)}"
 

@@ -137,6 +137,9 @@ pdf lost-share 1 | share of the target where the density is zero
 pdf invalid-share 1 | share of samples off the disk
 pdf black-conditions 1 | conditions at which the material reflects nothing, which are left out
 pdf negative-share 1 | share of the target where the material's data are negative
+pictures spp-achieved 1 | samples in each pixel by the deadline
+pictures achieved-seconds s | time of the render that was to take that long
+pictures relative-mse 1 | expected squared error of a pixel over the mean squared luminance
 sample-weights bias 1 | mean over conditions of the mean weight over the albedo, less one
 sample-weights bias-rms 1 | root mean square of that, free of noise
 sample-weights biased-share 1 | conditions that differ by more than three standard errors

@@ -20,7 +20,9 @@ BOUNDS: dict[str, tuple[float, float]] = {
         ("batch", "conditions", "pixels", "points", "rows", "samples", "spp"), (1, COUNT)
     ),
     **dict.fromkeys(("reference_spp", "steps"), (1, COUNT)),
-    **dict.fromkeys(("grid", "resolution", "side", "size", "slice_resolution"), (1, SIDE)),
+    **dict.fromkeys(
+        ("grid", "picture_size", "resolution", "side", "size", "slice_resolution"), (1, SIDE)
+    ),
     **dict.fromkeys(("batches", "bins", "count", "longest", "repeats", "rounds"), (1, _MANY)),
     **dict.fromkeys(("processes", "slices", "views"), (1, _MANY)),
     # None of them is a number of its own, too: no more than there are, nothing shown or started.

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
+from importlib import import_module
 from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
 from harness.analysis.results import Results
 from harness.report.figures.canvas import Canvas, Drawn
+from harness.report.figures.fonts import family
 from harness.report.parts import parts
 
 _SHARED = ("convergence", "tradeoff", "pareto", "images")
@@ -21,6 +23,7 @@ Found = list[Drawn] | str
 
 def tasks(results: Results, names: Sequence[str], folder: Path) -> dict[str, Callable[[], Found]]:
     """What draws the figures ``names`` into ``folder``, by what it is called; the longest first."""
+    _prepare()
     made: dict[str, Callable[[], Found]] = {}
     for name in sorted(names, key=lambda name: name not in _SHARED):
         shares = 2 if name in _SHARED else 1
@@ -44,6 +47,14 @@ def collected(made: Mapping[str, Any], names: Sequence[str]) -> dict[str, Found]
 
 def _called(name: str, share: int, shares: int) -> str:
     return f"figure {name}" + (f", part {share + 1} of {shares}" if shares > 1 else "")
+
+
+def _prepare() -> None:
+    """Import what every figure takes, and make its fonts: once, before there are processes."""
+    for module in ("backends.backend_pdf", "backends.backend_agg"):
+        import_module(f"matplotlib.{module}")
+    import_module("fontTools.subset")
+    family()
 
 
 def _draw(results: Results, name: str, canvas: Canvas) -> Found:

@@ -44,6 +44,7 @@ MOST: dict[str, Any] = {
     "batch": 65_536,
     "rows": 131_072,
     "views": 2,
+    "picture_size": 128,
     "size": 32,
     "slice_resolution": 64,
 }

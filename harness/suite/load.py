@@ -249,6 +249,11 @@ def _check_references(suite: Suite) -> None:
         if method.measures is not None:
             where = f"methods[{index}].measures"
             _known(where, method.measures, labels["measures"], "measure of this suite")
+    for index, measure in enumerate(suite.measures):
+        for key in ("materials", "scenes"):
+            if (chosen := getattr(measure, key)) is not None:
+                where = f"measures[{index}].{key}"
+                _known(where, chosen, labels[key], f"{key[:-1]} of this suite")
     if suite.baseline is not None:
         _known("baseline", [suite.baseline], labels["methods"], "method of this suite")
         chosen = suite.methods[labels["methods"].index(suite.baseline)]

@@ -155,7 +155,7 @@ class _Expansion:
         self.suite, self.profile, self.profile_name = suite, profile, profile_name
         self.device, self.on = device, on
         self.settings = self._settings()
-        self.of_first_fits = {m.name for m in suite.measures if m.first_fit_only}
+        self.measures = {m.name: m for m in suite.measures}
         self.kinds = {name: measures.load(name) for name in self.settings}
         _each("methods", suite.methods, lambda m: registry.find(m.name))
         self.materials = _each(
@@ -236,7 +236,8 @@ class _Expansion:
         for name in self.settings:
             if name == FIT or (method.measures is not None and name not in method.measures):
                 continue
-            if name in self.of_first_fits and not first:
+            spec = self.measures[name]
+            if (spec.first_fit_only and not first) or not spec.of(material.name):
                 continue
             identity = blank.identity | {"seed": seed}
             if seed != training:
@@ -246,7 +247,7 @@ class _Expansion:
                 found.append(self._trial(one, name))
                 continue
             for scene in _chosen(self.suite.scenes, self.profile.scenes):
-                if self._why_not(name, scene):
+                if not spec.of(material.name, scene.name) or self._why_not(name, scene):
                     continue
                 here = {**one.identity, "scene": self.scenes[scene.name]}
                 placed = replace(one, scene=scene.name, scene_spec=_spec(scene), identity=here)

@@ -87,9 +87,20 @@ class NamedSpec(BaseModel):
 
 
 class MeasureSpec(NamedSpec):
-    """A measure; with ``first_fit_only`` of the fits of the first training seed alone."""
+    """A measure; with ``first_fit_only`` of the fits of the first training seed alone.
+
+    ``materials`` and ``scenes`` are those that it is taken of, by default all of the suite's.
+    """
 
     first_fit_only: bool = False
+    materials: Some[str] | None = None
+    scenes: Some[str] | None = None
+
+    def of(self, material: str, scene: str | None = None) -> bool:
+        """Whether it is taken of the material, and in the scene."""
+        return (self.materials is None or material in self.materials) and (
+            self.scenes is None or scene is None or scene in self.scenes
+        )
 
 
 class ReportSpec(Strict):

@@ -33,10 +33,15 @@ def curve_of(arrays: Mapping[str, NDArray]) -> dict[str, NDArray]:
     """``spp``, ``seconds`` and ``mse`` of each level [L], the last two with ``_low``, ``_high``.
 
     Of ``errors`` and ``all_seconds`` [L, repeats]. Seconds are medians, errors means with
-    Student's t.
+    Student's t. Trials of before ``all_seconds`` was kept have the medians alone, in ``seconds``
+    [L], and no interval of them.
     """
     errors = np.asarray(arrays["errors"], float)
-    times = np.array([median_interval(row) for row in arrays["all_seconds"]])
+    if "all_seconds" in arrays:
+        times = np.array([median_interval(row) for row in arrays["all_seconds"]])
+    else:
+        times = np.full((len(errors), 3), math.nan)
+        times[:, 0] = arrays["seconds"]
     mse, n = errors.mean(1), errors.shape[1]
     half = (
         t_quantile(0.975, n - 1) * errors.std(1, ddof=1) / math.sqrt(n)

@@ -3,25 +3,27 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.collections import PolyCollection
-from matplotlib.lines import Line2D
-from matplotlib.ticker import LogFormatterMathtext
+from numpy.typing import NDArray
 
 from harness.analysis.breakeven import TIMES, CostLine, Costs, costs, timed_scenes
 from harness.analysis.results import Results
-from harness.report.figures.canvas import Canvas, Drawn, log_ticks, styled
+from harness.report.figures.canvas import Canvas, Drawn
+from harness.report.figures.curve_grid import MARK, Across, curve, groups, method_grid, outline
+from harness.report.figures.ink import Ink
+from harness.report.figures.log_panel import LogPanel, Range, around
 from harness.report.figures.palette import Look, looks
-from harness.report.figures.small_multiples import Labels, outline, panels
+from harness.report.figures.style import styled
 
 ORDER = 40
 _BEYOND = 3
 """By what factor a panel reaches beyond its lines."""
 _POINTS = 60
-_SIZE = (2.45, 1.9)
-"""Inches of a panel."""
+_MARKED = slice(4, None, 10)
+"""Points of a line that have a marker."""
 _RANGE = (1e5, 1e9)
 """Samples shown in any case; wider where crossings lie outside."""
 
@@ -48,68 +50,72 @@ def breakeven(results: Results, canvas: Canvas) -> list[Drawn] | str:
 def _scene(
     results: Results, canvas: Canvas, scene: str, of: dict[str, Costs], several: bool
 ) -> Drawn:
-    look = looks(results)
     shown = [m for m in results.methods if any(m.label in c.lines for c in of.values())]
-    handles = [
-        Line2D([], [], color=look[m.label].colour, ls=look[m.label].dash, lw=1.3, label=m.label)
-        for m in shown
-    ]
-    handles.append(
-        Line2D([], [], color="#555555", marker="o", mfc="white", ls="", ms=4, label="crossing")
-    )
-    stacks = [
-        [Labels(f"samples of {found.reference}", "seconds to its error", material)]
-        for material, found in of.items()
-    ]
-    figure, grid = panels(stacks, _SIZE, handles, handle_length=3.2)
-    for (panel,), found in zip(grid, of.values(), strict=True):
-        _panel(panel, found, look)
+    panels = {material: _Lines.of(found) for material, found in of.items()}
+    ends = np.array([lines.samples[[0, -1]] for lines in panels.values()])
+    look = looks(results)
+
+    def draw(ink: Ink, panel: LogPanel, material: str, labels: Sequence[str], axis: int) -> None:
+        for label in reversed([label for label in labels if label in of[material].lines]):
+            _line(ink, panel, panels[material], label, look[label])
+
+    reference = next(iter(of.values())).reference
+    ink = method_grid(
+        list(of), groups(shown, results.baseline), look,
+        [Across(f"samples of {reference}", (float(ends.min()), float(ends.max())))],
+        "seconds to the error that they reach", lambda material: panels[material].seen, draw,
+    )  # fmt: skip
     return canvas.save(
-        figure,
+        ink.done(),
         f"breakeven-{scene}" if several else "breakeven",
         f"Break-even{f': {scene}' if several else ''}",
         "Total time (fit, load, then samples) to the error that so many samples of "
         f"{results.baseline} reach, over all pixels of the scene {scene}; both axes logarithmic, "
-        "bands are 95% intervals. Circles mark where a method's line crosses the baseline's.",
+        "tints are 95% intervals. A row is a material, a column a few methods, named above it. "
+        "White circles mark where a method's line crosses the baseline's.",
     )
 
 
-def _panel(panel: Axes, found: Costs, look: dict[str, Look]) -> None:
-    base = found.lines.get(found.reference)
-    crossings = {
-        label: line.against(base).at
-        for label, line in found.lines.items()
-        if base is not None and label != found.reference
-    }
-    inside = [at for at in crossings.values() if 0 < at < math.inf]
-    low, high = min([_RANGE[0], *inside]) / 2, max([_RANGE[1], *inside]) * 2
-    samples = np.geomspace(low, high, _POINTS)
-    curves = {label: line.fixed[0] + samples * line.slope[0] for label, line in found.lines.items()}
-    for label, line in found.lines.items():
-        style = look[label]
-        zorder = 2 if line.method.ceiling else 3
-        panel.plot(
-            samples, curves[label],
-            color=style.colour, ls=style.dash, lw=1.1, zorder=zorder,
-        )  # fmt: skip
-    bands = [outline(samples, *_band(line, samples)) for line in found.lines.values()]
-    shades = [look[label].colour for label in found.lines]
-    panel.add_collection(PolyCollection(bands, facecolors=shades, alpha=0.15, lw=0), autolim=False)
-    for label, at in crossings.items():
-        if 0 < at < math.inf:
-            panel.plot(
-                at, found.lines[label].total(at)[0], marker="o", mfc="white", ms=4,
-                mec=look[label].colour, zorder=4,
-            )  # fmt: skip
-    panel.set_xlim(low, high)
-    if curves:
+@dataclass(frozen=True)
+class _Lines:
+    """Samples [P], the seconds of each method at them, their intervals [2, P], and crossings."""
+
+    samples: NDArray
+    totals: dict[str, NDArray]
+    bands: dict[str, NDArray]
+    crossings: dict[str, tuple[float, float]]
+    seen: Range
+
+    @classmethod
+    def of(cls, found: Costs) -> _Lines:
+        base = found.lines.get(found.reference)
+        crossings = {
+            label: (at, float(line.total(at)[0]))
+            for label, line in found.lines.items()
+            if base is not None
+            and label != found.reference
+            and 0 < (at := line.against(base).at) < math.inf
+        }
+        where = [at for at, _ in crossings.values()]
+        samples = np.geomspace(min([_RANGE[0], *where]) / 2, max([_RANGE[1], *where]) * 2, _POINTS)
+        totals = {
+            label: line.fixed[0] + samples * line.slope[0] for label, line in found.lines.items()
+        }
+        bands = {label: _band(line, samples) for label, line in found.lines.items()}
         # A band of a variance that is hardly known spans decades: it leaves the panel.
-        drawn = np.stack([*curves.values()])
-        panel.set_ylim(drawn.min() / _BEYOND, drawn.max() * _BEYOND)
-    log_ticks(panel)
-    for axis in (panel.xaxis, panel.yaxis):
-        # Many decades: powers of ten are shorter than numbers.
-        axis.set_major_formatter(LogFormatterMathtext())
+        seen = around(np.concatenate([*totals.values()]), _BEYOND) if totals else (0.1, 10.0)
+        return cls(samples, totals, bands, crossings, seen)
+
+
+def _line(ink: Ink, panel: LogPanel, lines: _Lines, label: str, look: Look) -> None:
+    points = panel.at(lines.samples, lines.totals[label])
+    curve(ink, points, look, marked=False)
+    ink.mark(points[_MARKED], look.marker, look.colour, MARK)
+    edge = outline(lines.samples, *lines.bands[label])
+    ink.area(panel.at(edge[:, 0], edge[:, 1]), look.colour, panel.box)
+    if label in lines.crossings:
+        at, seconds = lines.crossings[label]
+        ink.mark(panel.at([at], [seconds]), "o", look.colour, 4.5, open=True)
 
 
 def _band(line: CostLine, samples: np.ndarray) -> np.ndarray:

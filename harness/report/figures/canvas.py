@@ -1,24 +1,18 @@
-"""Where figures are saved, and how they all look."""
+"""Where figures are saved."""
 
 from __future__ import annotations
 
-import math
 import re
 import textwrap
-from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeVar
 
-import matplotlib as mpl
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 from PIL.Image import Image
 from pypdfium2 import PdfDocument
-
-from harness.analysis import numbers
 
 T = TypeVar("T")
 
@@ -29,43 +23,6 @@ _PNG_LEVEL = 4
 """Of zlib: the default, 6, takes up to three times as long for 1 to 3 % of size."""
 _CSS_PIXELS = 110
 """Per inch on the page: a little larger than life, so that small print can be read."""
-_STYLE = {
-    "font.family": "sans-serif",
-    "font.sans-serif": ["DejaVu Sans"],
-    "font.size": 8.0,
-    "axes.titlesize": 9.0,
-    "axes.labelsize": 8.0,
-    "xtick.labelsize": 7.0,
-    "ytick.labelsize": 7.0,
-    "legend.fontsize": 8.0,
-    "axes.titley": 1.0,  # where it is: not looked for above all that the axes have
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.linewidth": 0.6,
-    "axes.edgecolor": "#555555",
-    "xtick.color": "#444444",
-    "ytick.color": "#444444",
-    "xtick.minor.width": 0.4,
-    "ytick.minor.width": 0.4,
-    "grid.color": "#e2e2e2",
-    "grid.linewidth": 0.5,
-    "axes.axisbelow": True,
-    "legend.frameon": False,
-    "figure.facecolor": "white",
-    "savefig.facecolor": "white",
-    "pdf.fonttype": 42,  # TrueType, so that the text of a PDF can be edited and searched
-    "svg.hashsalt": "harness",
-    "text.parse_math": False,  # a name may have dollars in it
-}
-
-
-_STEPS = (
-    (0.3, (1.0, 1.2, 1.4, 1.6, 1.8, 2.0, 2.5, 3.0, 3.5, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0)),
-    (0.6, (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0)),
-    (2.0, (1.0, 2.0, 5.0)),
-    (math.inf, (1.0,)),
-)
-"""(decades spanned by an axis, multiples of a power of ten that are labelled below that)."""
 
 
 @dataclass(frozen=True)
@@ -122,33 +79,6 @@ def _rasterised(pdf: Path) -> Image:
     """The page of a PDF as pixels: a tenth of the time that drawing the figure again takes."""
     with PdfDocument(pdf) as document:
         return document[0].render(scale=DPI / _POINTS).to_pil()
-
-
-@contextmanager
-def styled() -> Iterator[None]:
-    """The look of all figures, for as long as the context lasts."""
-    with mpl.rc_context(_STYLE):
-        yield
-
-
-def log_ticks(panel: Axes) -> None:
-    """Labels where a logarithmic axis needs them: decades, or between where it spans less."""
-    for axis in (panel.xaxis, panel.yaxis):
-        low, high = axis.get_view_interval()
-        decades = math.log10(high / low)
-        steps = next(steps for widest, steps in _STEPS if decades < widest)
-        axis.set_major_locator(LogLocator(subs=steps, numticks=5))
-        axis.set_major_formatter(FuncFormatter(_tick_label))
-        # Between its labels a small panel has none: they would take longer than all its lines.
-        axis.set_minor_locator(NullLocator())
-
-
-def _tick_label(value: float, _: int) -> str:
-    if 1e-3 <= value < 1e4:
-        return f"{value:g}"
-    # Ticks are single digits times a power of ten, or 1.5 of them.
-    power = math.floor(math.log10(value) + 1e-9)
-    return numbers.plain(value, -power if math.isclose(value / 10**power % 1, 0) else 1 - power)
 
 
 def sheet(width: float, height: float) -> tuple[Figure, Axes]:

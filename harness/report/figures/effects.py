@@ -7,8 +7,9 @@ from numpy.typing import NDArray
 
 from harness.analysis.effects import MEASURE, Rows, effects_of, trials, verdict
 from harness.analysis.results import Results
-from harness.report.figures.canvas import Canvas, Drawn, picture, sheet, styled
+from harness.report.figures.canvas import Canvas, Drawn, picture, sheet
 from harness.report.figures.rendered import exposure, srgb
+from harness.report.figures.style import styled
 
 ORDER = 100
 _CELL, _LABEL, _UNDER = 1.9, 0.2, 0.3

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from harness.analysis.results import Results
-from harness.report.figures.canvas import Canvas, Drawn, sheet, styled
+from harness.report.figures.canvas import Canvas, Drawn, sheet
+from harness.report.figures.style import styled
 
 ORDER = 135
 MEASURE = "walks"

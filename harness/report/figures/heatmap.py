@@ -9,7 +9,8 @@ from matplotlib.patches import Patch, Rectangle
 
 from harness.analysis.results import Results
 from harness.analysis.verdicts import MEASURE, CaseRow, Entry, case_rows, groups
-from harness.report.figures.canvas import Canvas, Drawn, sheet, styled, wrapped
+from harness.report.figures.canvas import Canvas, Drawn, sheet, wrapped
+from harness.report.figures.style import styled
 
 ORDER = 80
 # Blue to orange, dark only where it fails: in order also without colour vision, and in print.

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from harness.analysis.results import Results
-from harness.report.figures.canvas import Canvas, Drawn, picture, sheet, styled, wrapped
+from harness.report.figures.canvas import Canvas, Drawn, picture, sheet, wrapped
+from harness.report.figures.style import styled
 from harness.report.formats.short import short
 
 ORDER = 90

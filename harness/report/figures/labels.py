@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.patheffects import withStroke
 from matplotlib.transforms import Bbox
+from numpy.typing import NDArray
 
 _ANGLES = tuple(math.radians(a) for a in range(15, 375, 15))
 _REACH = (7, 11, 16, 22, 29, 37, 46, 56, 68, 82, 98)
@@ -38,46 +40,46 @@ def place(
     lines: Sequence[tuple[float, float]] = (),
     taken: Sequence[Bbox] = (),
     size: float = 6.0,
+    within: tuple[float, float, float, float] | None = None,
 ) -> list[Label]:
     """Write ``labels``; those for which there is no room are given back.
 
-    ``points`` are the markers to keep clear of, ``taken`` boxes in pixels. If it can be had, a
-    label also keeps clear of the line through ``lines``, and is nearer to its own point
-    than to any other label's; else a thin line leads to its point. The figure must have its
-    final layout.
+    They stay in the panel, or in the box ``within`` (left, bottom, width, height; in data
+    coordinates). ``points`` are the markers to keep clear of, ``taken`` boxes in pixels. If it can
+    be had, a label also keeps clear of the line through ``lines``, and is nearer to its own point
+    than to any other label's; else a thin line leads to its point. The figure must have its final
+    layout.
     """
     renderer = FigureCanvasAgg(panel.figure).get_renderer()
     pixel = panel.figure.dpi / 72  # per point
-    inside = panel.get_window_extent(renderer)
     to_pixels = panel.transData.transform
-    boxes = [*taken, *(_around(to_pixels(p), _MARKER * pixel) for p in points)]
-    along = _dots([to_pixels(p) for p in lines], pixel)
-    anchors = [to_pixels((item.x, item.y)) for item in labels]
+    inside = panel.get_window_extent(renderer)
+    if within is not None:
+        left, bottom, width, height = within
+        inside = Bbox([to_pixels((left, bottom)), to_pixels((left + width, bottom + height))])
+    boxes = np.array([box.extents for box in taken] or np.empty((0, 4)))
+    boxes = np.concatenate([boxes, [_around(to_pixels(p), _MARKER * pixel) for p in points]])
+    along = np.array(_dots([to_pixels(p) for p in lines], pixel)).reshape(-1, 2)
+    anchors = np.array([to_pixels((item.x, item.y)) for item in labels]).reshape(-1, 2)
     left_over = []
     for k in sorted(range(len(labels)), key=lambda i: labels[i].x):
         label, at = labels[k], anchors[k]
         probe = panel.text(0, 0, label.text, fontsize=size, linespacing=1.0)
         extent = probe.get_window_extent(renderer)
         probe.remove()
-        spots = [
-            spot
-            for spot in _spots(at, extent.width, extent.height, pixel)
-            if _within(spot[0], inside) and not any(spot[0].overlaps(other) for other in boxes)
-        ]
-        others = [a for i, a in enumerate(anchors) if i != k]
-        good = (
-            spot
-            for spot in spots
-            if not any(spot[0].contains(*dot) for dot in along)
-            and all(_gap(spot[0], at) < 0.7 * _gap(spot[0], other) for other in others)
-        )
-        best = next(good, None)
-        leader = best is None or best[1] >= _LEADER
-        if not spots:
+        spots, reach = _spots(at, extent.width, extent.height, pixel)
+        free = _within(spots, inside.extents) & ~_overlap(spots, boxes).any(1)
+        spots, reach = spots[free], reach[free]
+        if not len(spots):
             left_over.append(label)
             continue
-        box = (best or spots[0])[0]
-        boxes.append(box.padded(1.5))
+        others = np.delete(anchors, k, axis=0)
+        good = ~_overlap(spots, np.tile(along, 2)).any(1)
+        good &= (_gaps(spots, at[None]) < 0.7 * _gaps(spots, others)).all(1)
+        best = int(good.argmax())  # the first of the good ones, or of all
+        leader = not good.any() or reach[best] >= _LEADER
+        box = Bbox.from_extents(*spots[best])
+        boxes = np.concatenate([boxes, [box.padded(1.5).extents]])
         offset = ((box.x0 + box.x1) / 2 - at[0], (box.y0 + box.y1) / 2 - at[1])
         arrow = {"arrowstyle": "-", "lw": 0.4, "color": label.colour, "shrinkA": 0.5, "shrinkB": 2}
         note = panel.annotate(
@@ -98,28 +100,32 @@ def place(
     return left_over
 
 
-def _spots(
-    at: tuple[float, float], width: float, height: float, pixel: float
-) -> Iterator[tuple[Bbox, float]]:
-    """Boxes of that size around a point, the nearest first, and their distance in points."""
-    for reach in _REACH:
-        for angle in _ANGLES:
-            cos, sin = math.cos(angle), math.sin(angle)
-            # Measured to the edge that faces the point, so that long labels may start beside it.
-            x = at[0] + reach * pixel * cos + math.copysign(min(1, abs(cos) * 2), cos) * width / 2
-            y = at[1] + reach * pixel * sin + math.copysign(min(1, abs(sin) * 2), sin) * height / 2
-            yield Bbox.from_bounds(x - width / 2, y - height / 2, width, height), reach
+def _spots(at: NDArray, width: float, height: float, pixel: float) -> tuple[NDArray, NDArray]:
+    """Boxes [S, 4] of that size around a point, the nearest first, and their distances [S] in
+    points."""
+    reach = np.repeat(_REACH, len(_ANGLES))
+    cos, sin = (np.tile(f(_ANGLES), len(_REACH)) for f in (np.cos, np.sin))
+    # Measured to the edge that faces the point, so that long labels may start beside it.
+    x = at[0] + reach * pixel * cos + np.copysign(np.minimum(1, 2 * abs(cos)), cos) * width / 2
+    y = at[1] + reach * pixel * sin + np.copysign(np.minimum(1, 2 * abs(sin)), sin) * height / 2
+    half = np.array([-width, -height, width, height]) / 2
+    return np.stack([x, y, x, y], 1) + half, reach
 
 
-def _within(box: Bbox, frame: Bbox) -> bool:
-    return box.x0 >= frame.x0 and box.x1 <= frame.x1 and box.y0 >= frame.y0 and box.y1 <= frame.y1
+def _within(boxes: NDArray, frame: NDArray) -> NDArray:
+    return (boxes[:, :2] >= frame[:2]).all(1) & (boxes[:, 2:] <= frame[2:]).all(1)
 
 
-def _gap(box: Bbox, at: tuple[float, float]) -> float:
-    """Distance of a point from a box, in pixels."""
-    return math.hypot(
-        max(box.x0 - at[0], 0, at[0] - box.x1), max(box.y0 - at[1], 0, at[1] - box.y1)
-    )
+def _overlap(boxes: NDArray, others: NDArray) -> NDArray:
+    """Which boxes [S, 4] touch which others [O, 4], points among them: [S, O]."""
+    a, b = boxes[:, None], others[None]
+    return (a[..., :2] <= b[..., 2:]).all(-1) & (b[..., :2] <= a[..., 2:]).all(-1)
+
+
+def _gaps(boxes: NDArray, points: NDArray) -> NDArray:
+    """Distances of points [P, 2] from boxes [S, 4], in pixels: [S, P]."""
+    a, p = boxes[:, None], points[None]
+    return np.linalg.norm(np.maximum(np.maximum(a[..., :2] - p, p - a[..., 2:]), 0), axis=-1)
 
 
 def _dots(corners: Sequence[tuple[float, float]], pixel: float) -> list[tuple[float, float]]:
@@ -131,5 +137,5 @@ def _dots(corners: Sequence[tuple[float, float]], pixel: float) -> list[tuple[fl
     return dots
 
 
-def _around(at: tuple[float, float], half: float) -> Bbox:
-    return Bbox.from_bounds(at[0] - half, at[1] - half, 2 * half, 2 * half)
+def _around(at: tuple[float, float], half: float) -> list[float]:
+    return [at[0] - half, at[1] - half, at[0] + half, at[1] + half]

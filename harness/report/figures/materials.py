@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from harness.analysis.results import Results
-from harness.report.figures.canvas import Canvas, Drawn, picture, sheet, styled
+from harness.report.figures.canvas import Canvas, Drawn, picture, sheet
 from harness.report.figures.rendered import exposure, reference, srgb
+from harness.report.figures.style import styled
 
 ORDER = 10
 MEASURE = "equal-spp"

@@ -2,7 +2,7 @@
 
 Okabe and Ito's and Paul Tol's colours, which keep apart under the common colour-vision
 deficiencies. Colour is never alone: marker and dash differ too. The floor and the ceiling are
-grey and black.
+grey and black. :func:`told_apart` says what is left where there is no colour.
 """
 
 from __future__ import annotations
@@ -23,10 +23,34 @@ class Look:
     marker: str
     dash: Any = "-"
 
+    @property
+    def ink(self) -> str:
+        """The colour for words: darker where it is too light to read on white."""
+        share = min(1.0, (_WORDS / max(luminance(self.colour), 1e-9)) ** (1 / 2.2))
+        return "#" + "".join(f"{round(share * c):02x}" for c in _bytes(self.colour))
+
+
+_WORDS = 0.16
+"""The most luminance of words on white: a contrast of five to one."""
+
+
+def luminance(colour: str) -> float:
+    """Relative luminance of ``#rrggbb``, 0 to 1 (sRGB, Rec. 709): what is left in grey."""
+    linear = [
+        c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4
+        for c in (byte / 255 for byte in _bytes(colour))
+    ]
+    return 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]
+
+
+def _bytes(colour: str) -> list[int]:
+    return [int(colour[i : i + 2], 16) for i in (1, 3, 5)]
+
 
 _KNOWN = {
     "cosine": Look("#8c8c8c", "o", _DOTTED),
     "blinn-phong": Look("#E69F00", "v"),
+    "fan-baseline": Look("#56B4E9", "h", _DASH_DOT),
     "improved-baseline": Look("#0072B2", "s"),
     "two-lobe": Look("#009E73", "^"),
     "realnvp": Look("#CC79A7", "<", _DASHED),
@@ -34,19 +58,31 @@ _KNOWN = {
     "histogram": Look("#999933", ">", _DASHED),
     "histogram-mixture": Look("#5B2A9D", "P"),
     "importance-baked": Look("#882255", "X"),
-    "native": Look("#44AA99", "p", _DASH_DOT),
+    "reparameterised": Look("#7A4B1E", "d", _DASHED),
+    "flow-matching": Look("#DDAA33", "8", _DASHED),
+    "puresample": Look("#332288", "H", _DOTTED),
+    "native": Look("#44AA99", "p", _DASHED),
     "tabulated": Look("#000000", "*", _DASHED),
 }
 _SPARE = (
-    Look("#56B4E9", "h", _DASH_DOT),
-    Look("#7A4B1E", "d", _DASHED),
-    Look("#DDAA33", "8", _DASH_DOT),
-    Look("#332288", "H", _DOTTED),
     Look("#117733", "v", _DOTTED),
     Look("#AA4466", "s", _DASH_DOT),
     Look("#88CCEE", "^", _DASHED),
     Look("#661100", "D", _DOTTED),
 )
+
+
+_ALIKE = ("ohH8p", "Dd")
+"""Markers whose small pictures look alike."""
+_CONTRAST = 1.3
+"""Ratio of luminances from which two greys differ."""
+
+
+def told_apart(one: Look, other: Look) -> bool:
+    """Whether two looks differ in print without colour: by marker, dash or grey."""
+    kinds = [next((k for k in _ALIKE if look.marker in k), look.marker) for look in (one, other)]
+    dark, light = sorted(luminance(look.colour) + 0.05 for look in (one, other))
+    return kinds[0] != kinds[1] or one.dash != other.dash or light / dark >= _CONTRAST
 
 
 def looks(results: Results) -> dict[str, Look]:

@@ -12,11 +12,12 @@ from harness.analysis.combine import Estimate
 from harness.analysis.families import families
 from harness.analysis.pareto import CHARTS, Chart
 from harness.analysis.results import Results
-from harness.report.figures.canvas import Canvas, Drawn, log_ticks, styled
+from harness.report.figures.canvas import Canvas, Drawn
 from harness.report.figures.knob_path import inserted
 from harness.report.figures.labels import Label, place
 from harness.report.figures.palette import Look, looks_of
-from harness.report.figures.small_multiples import Labels, panels
+from harness.report.figures.small_multiples import Labels, log_ticks, panels
+from harness.report.figures.style import styled
 from harness.report.series.pareto import ALL, Panel, Point
 from harness.report.series.pareto import panels as panels_of
 

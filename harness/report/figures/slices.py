@@ -12,7 +12,8 @@ from matplotlib.patches import Circle
 
 from harness.analysis.records.slices import divergences
 from harness.analysis.results import MethodColumn, Results
-from harness.report.figures.canvas import Canvas, Drawn, picture, sheet, styled, wrapped
+from harness.report.figures.canvas import Canvas, Drawn, picture, sheet, wrapped
+from harness.report.figures.style import styled
 from harness.report.formats.short import short
 from harness.report.series.slices import BELOW_ZERO
 

@@ -5,10 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
+
+from harness.report.figures.log_panel import tick_label, ticks
 
 _LEFT, _RIGHT, _ABOVE, _BELOW = 0.6, 0.12, 0.28, 0.48
 """Inches around a panel's axes: labels of its y axis, air, its title, labels of its x axis."""
@@ -73,9 +75,14 @@ def panels(
     return figure, found
 
 
-def outline(at: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """The band between two curves [P] as a closed line [2 P, 2]."""
-    return np.concatenate([np.stack((at, low), -1), np.stack((at, high), -1)[::-1]])
+def log_ticks(panel: Axes) -> None:
+    """Labels where a logarithmic axis needs them: decades, or between where it spans less."""
+    for axis in (panel.xaxis, panel.yaxis):
+        low, high = axis.get_view_interval()
+        axis.set_major_locator(FixedLocator(ticks((low, high), 5)))
+        axis.set_major_formatter(FuncFormatter(lambda value, _: tick_label(value)))
+        # Between its labels a small panel has none: they would take longer than all its lines.
+        axis.set_minor_locator(NullLocator())
 
 
 def _panel(

@@ -5,21 +5,27 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from matplotlib.axes import Axes
-from matplotlib.collections import LineCollection
-from matplotlib.lines import Line2D
+import numpy as np
 
 from harness.analysis.combine import Estimate, geometric_mean
 from harness.analysis.quantities import nanoseconds_per_sample
 from harness.analysis.results import MethodColumn, Results
-from harness.report.figures.canvas import Canvas, Drawn, log_ticks, styled
+from harness.report.figures.canvas import Canvas, Drawn
+from harness.report.figures.ink import Ink
+from harness.report.figures.labels import Label, place
+from harness.report.figures.log_panel import LogPanel, Range, around
 from harness.report.figures.palette import Look, looks
-from harness.report.figures.small_multiples import Labels, panels
+from harness.report.figures.style import LABEL, PAGE, THIN, TICK, styled
 
 ORDER = 20
 _ALL = "geometric mean"
-_SIZE = (2.25, 1.75)
-"""Inches of a panel."""
+_ACROSS = 4
+"""Small panels in a row."""
+_LARGE, _SMALL = 2.6, 0.95
+"""Inches that panels are high."""
+_LEFT, _GAP, _TITLE, _FOOT, _UNDER = 0.6, 0.36, 0.25, 0.45, 0.2
+"""Inches: left of a row, between panels, above each, below the large one and below the last."""
+_FRONT = "#999999"
 
 
 @dataclass(frozen=True)
@@ -57,17 +63,10 @@ def _scene(results: Results, canvas: Canvas, scene: str) -> Drawn | None:
         of = {_ALL: _means(results, list(of.values()))} | of
     weights = bool(results.trials("sample-weights"))
     quantity = "relative variance" if weights else "χ² divergence"
-    look = looks(results)
-    shown = {p.method.label for points in of.values() for p in points}
-    handles = [_handle(look[m.label], m.label) for m in results.methods if m.label in shown]
-    handles.append(Line2D([], [], color="#999999", lw=1.0, label="front"))
-    stacks = [[Labels("ns per rendered sample", quantity, t, emphasised=t == _ALL)] for t in of]
-    figure, grid = panels(stacks, _SIZE, handles)
-    for (panel,), points in zip(grid, of.values(), strict=True):
-        _panel(panel, points, look)
+    ink, lost = _sheet(of, quantity, looks(results))
     several = len(results.scenes("equal-time")) > 1
     return canvas.save(
-        figure,
+        ink.done(),
         f"tradeoff-{scene}" if several else "tradeoff",
         f"What accuracy costs{f': {scene}' if several else ''}",
         (
@@ -79,8 +78,55 @@ def _scene(results: Results, canvas: Canvas, scene: str) -> Drawn | None:
         + f" against the time of one rendered sample in the scene {scene}; both axes logarithmic, "
         "bars are 95% intervals. Lower and further left is better; the grey line joins the methods "
         "that no other beats in both."
-        + (f" The {_ALL} is of methods with a number on every material." * (len(of) > 1)),
+        + f" The {_ALL} is of methods with a number on every material." * (len(of) > 1)
+        + f" Without room for their labels: {', '.join(lost)}." * bool(lost),
     )
+
+
+def _sheet(
+    of: dict[str, list[Point]], quantity: str, look: dict[str, Look]
+) -> tuple[Ink, list[str]]:
+    """A large panel of the first of ``of``, its methods named, above small ones of the others;
+    and the methods that had no room for their names."""
+    first, *others = of
+    rows = -(-len(others) // _ACROSS)
+    height = _TITLE + _LARGE + _FOOT + rows * (_TITLE + _SMALL) + _UNDER * bool(rows)
+    ink = Ink(PAGE, height)
+    times = [t for points in of.values() for p in points for t in _ends(p.time)]
+    x = around(np.array(times), 1.25)
+    large = LogPanel(
+        (_LEFT, height - _TITLE - _LARGE, PAGE - _LEFT - 0.1, _LARGE), x, _range(of[first])
+    )
+    large.title(ink, first)
+    large.frame(ink, most=6)
+    left, bottom, wide, tall = large.box
+    ink.text(left + wide / 2, bottom - 0.3, "ns per rendered sample", ha="center")
+    ink.text(0.12, bottom + tall / 2, quantity, rotation=90, ha="center")
+    _panel(ink, large, of[first], look, 7.0)
+    width = (PAGE - _LEFT - 0.1 - (_ACROSS - 1) * _GAP) / _ACROSS
+    for i, material in enumerate(others):
+        row, column = divmod(i, _ACROSS)
+        at = (
+            _LEFT + column * (width + _GAP),
+            height - _TITLE - _LARGE - _FOOT - (row + 1) * (_TITLE + _SMALL),
+        )
+        small = LogPanel((*at, width, _SMALL), x, _range(of[material]))
+        small.title(ink, material)
+        small.frame(ink, x_numbers=i + _ACROSS >= len(others), most=3)
+        _panel(ink, small, of[material], look, 4.2)
+    return ink, _named(ink, large, of[first], look)
+
+
+def _named(ink: Ink, panel: LogPanel, points: list[Point], look: dict[str, Look]) -> list[str]:
+    """Write the methods' names beside their points; those for which there was no room."""
+    at = {p.method.label: panel.at(p.time.value, p.error.value) for p in points if _finite(p)}
+    labels = [Label(*place, label, look[label].ink) for label, place in at.items()]
+    lost = place(
+        ink.axes, labels, list(at.values()),
+        [tuple(panel.at(p.time.value, p.error.value)) for p in _front(points) if _finite(p)],
+        within=panel.box, size=LABEL,
+    )  # fmt: skip
+    return [label.text for label in lost]
 
 
 def _points(results: Results, material: str, scene: str) -> list[Point]:
@@ -109,29 +155,42 @@ def _means(results: Results, panels: list[list[Point]]) -> list[Point]:
     return means
 
 
-def _panel(panel: Axes, points: list[Point], look: dict[str, Look]) -> None:
-    finite = [p for p in points if 0 < p.error.value < math.inf]
-    for point in finite:
-        style = look[point.method.label]
-        panel.plot(
-            point.time.value, point.error.value, color=style.colour, marker=style.marker,
-            ms=9 if style.marker == "*" else 6, mec="white", mew=0.4, zorder=3,
-        )  # fmt: skip
-    bars = [bar for point in finite for bar in _bars(point)]
-    colours = [look[p.method.label].colour for p in finite for _ in _bars(p)]
-    panel.add_collection(LineCollection(bars, colors=colours, linewidths=0.9, zorder=2.5))
+def _panel(
+    ink: Ink, panel: LogPanel, points: list[Point], look: dict[str, Look], size: float
+) -> None:
+    finite = [p for p in points if _finite(p)]
     line = _front(finite)
-    panel.plot(
-        [p.time.value for p in line],
-        [p.error.value for p in line],
-        color="#999999", lw=1.0, zorder=1,
-    )  # fmt: skip
-    panel.margins(0.12)
+    ink.line(
+        panel.at([p.time.value for p in line], [p.error.value for p in line]), _FRONT, depth=1.5
+    )
+    for p in finite:
+        style = look[p.method.label]
+        for bar in _bars(p):
+            ink.line(panel.inside(*zip(*bar, strict=True)), style.colour, THIN, depth=2.5)
+        here = panel.at([p.time.value], [p.error.value])
+        ink.mark(here, style.marker, style.colour, size * (1.4 if style.marker == "*" else 1))
     off = [p.method.label for p in points if p not in finite]
     if off:
+        left, bottom, width, height = panel.box
         said = f"infinite or zero: {', '.join(off)}"
-        panel.text(0.98, 0.98, said, transform=panel.transAxes, ha="right", va="top", fontsize=6)
-    log_ticks(panel)
+        ink.text(left + width, bottom + height - 0.06, said, ha="right", fontsize=TICK)
+
+
+def _finite(point: Point) -> bool:
+    return 0 < point.error.value < math.inf and 0 < point.time.value < math.inf
+
+
+def _range(points: list[Point]) -> Range:
+    """Errors of a panel, with what is within a factor of three of their intervals."""
+    values = np.array([p.error.value for p in points if _finite(p)] or [1.0])
+    low, high = around(values, 1.0)
+    ends = np.array([e for p in points if _finite(p) for e in _ends(p.error)] or [1.0])
+    least, most = around(ends, 1.0)
+    return max(least, low / 3) / 1.5, min(most, high * 3) * 1.5
+
+
+def _ends(one: Estimate) -> tuple[float, ...]:
+    return (one.value, one.low, one.high) if one.has_interval else (one.value,)
 
 
 def _front(points: list[Point]) -> list[Point]:
@@ -149,7 +208,3 @@ def _bars(point: Point) -> list[list[tuple[float, float]]]:
     across = [(time.low, error.value), (time.high, error.value)]
     along = [(time.value, error.low), (time.value, error.high)]
     return [across] * time.has_interval + [along] * error.has_interval
-
-
-def _handle(style: Look, label: str) -> Line2D:
-    return Line2D([], [], color=style.colour, marker=style.marker, ls="", ms=6, label=label)

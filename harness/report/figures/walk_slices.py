@@ -7,8 +7,9 @@ from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
 from harness.analysis.results import Results
-from harness.report.figures.canvas import Canvas, Drawn, picture, sheet, styled
+from harness.report.figures.canvas import Canvas, Drawn, picture, sheet
 from harness.report.figures.rendered import srgb
+from harness.report.figures.style import styled
 from harness.report.formats.short import short
 
 ORDER = 134

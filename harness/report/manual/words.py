@@ -10,7 +10,7 @@ KEYS = {
         "methods": "a name, `file.py:Class`, or a mapping with the keys below",
         "scenes": "a name or a mapping (own-scenes.md); needed by measures that render",
         "measures": "a name, or a mapping with the settings below; `first_fit_only: true` takes it"
-        " with the first training seed alone",
+        " with the first training seed alone, `materials` and `scenes` of those alone",
         "seeds": "of fits, samples and renders; every trial once for each",
         "training_seeds": "of fits alone; `seeds` are then of what is measured with each of them",
         "baseline": "label of the method that times and speed-ups are relative to; by default"
@@ -84,6 +84,7 @@ SETTINGS = {
     "pairs": ("pairs", "of directions, of which f is asked for both ways"),
     "patience": ("s", "a method that would need longer is not begun: `timeout`"),
     "places": ("places", "at which a material that varies is evaluated"),
+    "picture_size": ("pixels a side", "of a picture to look at, whatever `resolution` is"),
     "pixels": ("pixels", "of those that show the material, at most, evenly chosen"),
     "points": ("directions", "drawn at each of two points of a pixel; a multiple of eight"),
     "power_seconds": ("s", "of batches more, for the power of the test"),

@@ -23,9 +23,9 @@ from harness.report.page.names import Names
 from harness.report.page.plain import number, packed
 from harness.report.series.flip import flip
 from harness.report.series.shots import (
-    MEASURE,
     Shot,
     Square,
+    scenes,
     shots,
     square_error,
     telling_squares,
@@ -48,7 +48,7 @@ def pictures(results: Results) -> dict[str, Any]:
     names = Names(results)
     found = [
         (scene, material, made)
-        for scene in results.scenes(MEASURE)
+        for scene in scenes(results)
         for material in results.materials
         if (made := shots(results, material, scene))
     ]

@@ -1,4 +1,8 @@
-"""Renders of equal time, a shot for each method, and where in the image they differ most."""
+"""Renders of equal time, a shot for each method, and where in the image they differ most.
+
+They are of the measure ``pictures``, which renders for the eye, where a suite has it; else of
+``equal-time``, which renders for its numbers and so fewer pixels.
+"""
 
 from __future__ import annotations
 
@@ -12,8 +16,9 @@ from harness.analysis.combine import Estimate
 from harness.analysis.results import MethodColumn, Results
 from harness.report.figures.rendered import LUMINANCE, reference
 
-MEASURE = "equal-time"
-_IMAGE = "equal_time"
+PICTURES, TIMED = "pictures", "equal-time"
+MEASURES = (PICTURES, TIMED)
+_IMAGES = {PICTURES: "picture", TIMED: "equal_time"}
 _CROP = 0.25
 """Side of a square to enlarge over the image's."""
 
@@ -44,29 +49,50 @@ class Square:
     side: int
 
 
+def scenes(results: Results) -> list[str]:
+    """Scenes of which there may be shots."""
+    return list(dict.fromkeys(s for measure in MEASURES for s in results.scenes(measure)))
+
+
 def shots(results: Results, material: str, scene: str) -> list[Shot]:
     """A shot per method, some without an image; none at all if no method has one."""
     made = []
+    measure = _measure(results, material, scene)
     for method in results.methods:
         at = (material, method.label, scene)
-        trial = next(iter(results.trials(MEASURE, *at)), "")
+        trial = next(iter(results.trials(measure, *at)), "")
         stored = results.stored(trial) if trial else None
-        image = stored.images.get(_IMAGE) if stored else None
+        image = stored.images.get(_IMAGES[measure]) if stored else None
         mask = stored.arrays.get("mask") if stored and image is not None else None
-        spp = results.number(MEASURE, "spp-achieved", *at)
-        error = results.number("equal-spp", "relative-variance", *at)
-        # The error of a mean of n samples is that of one over n; no reference is needed.
-        if isinstance(error, Estimate) and isinstance(spp, Estimate):
-            error = Estimate(error.value / spp.value)
-        why = "" if image is not None else _why(results, trial, *at)
+        why = "" if image is not None else _why(results, measure, trial, *at)
+        spp = results.number(measure, "spp-achieved", *at)
+        error = _error(results, measure, spp, *at)
         made.append(Shot(method, trial, image, spp, error, why, mask))
     return made if any(shot.image is not None for shot in made) else []
 
 
+def _measure(results: Results, material: str, scene: str) -> str:
+    stored = (results.stored(t) for t in results.trials(PICTURES, material, scene=scene))
+    return PICTURES if any(_IMAGES[PICTURES] in one.images for one in stored) else TIMED
+
+
+def _error(results: Results, measure: str, spp: Estimate | str, *at: str) -> Estimate | str:
+    """relMSE of a shot of ``spp`` samples."""
+    if measure == PICTURES:
+        return results.number(PICTURES, "relative-mse", *at)
+    error = results.number("equal-spp", "relative-variance", *at)
+    # The error of a mean of n samples is that of one over n; no reference is needed.
+    if isinstance(error, Estimate) and isinstance(spp, Estimate):
+        return Estimate(error.value / spp.value)
+    return error
+
+
 def truth(results: Results, material: str, scene: str, of: Sequence[Shot]) -> NDArray | None:
     """The reference of the shots' size, or None."""
-    found = results.once(reference, material, scene)
     first = next(shot.image for shot in of if shot.image is not None)
+    stored = (results.stored(t) for t in results.trials(PICTURES, material, scene=scene))
+    kept = next((one.images["reference"] for one in stored if "reference" in one.images), None)
+    found = results.once(reference, material, scene) if kept is None else kept
     # A suite may render the two measures in two sizes.
     return found if found is not None and found.shape == first.shape else None
 
@@ -115,10 +141,10 @@ def side_of(image: NDArray) -> int:
     return max(8, int(_CROP * min(image.shape[:2])))
 
 
-def _why(results: Results, trial: str, material: str, method: str, scene: str) -> str:
+def _why(results: Results, measure: str, trial: str, material: str, method: str, scene: str) -> str:
     if trial:
         return "its image is not stored: published results keep those of a few materials"
-    return results.why_missing(MEASURE, material, method, scene)
+    return results.why_missing(measure, material, method, scene)
 
 
 def _distance(render: NDArray, centre: NDArray) -> NDArray:

@@ -16,8 +16,8 @@ function setUpFigures() {
   if (!report.figures.length) return;
   const details = el("details", {}, el("summary", {}, `${report.figures.length} figures for print, as PDF and PNG`));
   section("figures", "Print figures", details);
-  details.addEventListener("toggle", () => {
-    if (!details.open || details.children.length > 1) return;
+  const fill = () => {
+    if (details.children.length > 1) return;
     for (const figure of report.figures) {
       const files = figure.files.map((file) => el("a", { href: `figures/${encodeURIComponent(file)}` }, file.split(".").pop()));
       details.append(el("figure", { class: "print" }, el("h3", {}, figure.title),
@@ -25,7 +25,11 @@ function setUpFigures() {
           alt: figure.title, width: figure.width, height: figure.height })) : null,
         el("figcaption", {}, figure.caption, " ", el("span", { class: "files" }, files.flatMap((one, i) => (i ? [" · ", one] : [one]))))));
     }
-  });
+  };
+  details.addEventListener("toggle", () => { if (details.open) fill(); });
+  // On paper they stand for the plots, of which those that were never in sight are not drawn.
+  document.documentElement.dataset.figures = "yes";
+  window.addEventListener("beforeprint", () => { fill(); details.open = true; });
 }
 
 function setUpCircumstances() {

@@ -11,7 +11,7 @@ function setUpViewer() {
   const exactly = report.images.exact ? "Values are half floats, as stored."
     : `Values are compressed with loss, off by up to ${percent(num(report.images.off))} of an image's root mean square.`;
   place.append(el("p", { class: "dim" },
-    `Rendered in equal time, at ${sizes} pixels; the reference is the mean of all unbiased methods' long renders. ${exactly} Number keys and hovering flip, the wheel zooms, dragging pans, a double press shows all again.`));
+    `Rendered in equal time, at ${sizes} pixels; the reference is a long render, or the mean of all unbiased methods' long ones. ${exactly} Number keys and hovering flip, the wheel zooms, dragging pans, a double press shows all again.`));
   const top = el("div", { class: "form" });
   const stage = el("div", { class: "stage" });
   const values = el("div", { class: "values scroll", tabindex: 0 });
