@@ -182,9 +182,7 @@ def test_convergence():
 def test_convergence_of_a_biased_method_levels_off():
     """At the square of its bias: the error of its last level is more than noise explains."""
     given = {"levels": 8, "repeats": 2, "resolution": 16, "reference_spp": 2048}
-    biased, right = (
-        measured("convergence", m, PLASTER, **given) for m in (TooLarge(), Correct())
-    )
+    biased, right = (measured("convergence", m, PLASTER, **given) for m in (TooLarge(), Correct()))
     assert values(biased)["mse-last"] > 2 * values(right)["mse-last"]
     assert values(biased)["slope"] > values(right)["slope"]
 

@@ -20,9 +20,7 @@ SKY = '<emitter type="constant"/>'
 OBJECT = '<bsdf type="diffuse" id="m"/><shape type="sphere"><ref id="m"/></shape>'
 SHAPE = '<bsdf type="diffuse" id="m"/><shape type="{}">{}<ref id="m"/></shape>'
 TURNED = '<transform name="to_world"><scale value="0.6"/><rotate y="1" angle="30"/></transform>'
-LYING = (
-    '<transform name="to_world"><translate z="-0.5"/><rotate y="1" angle="80"/></transform>'
-)
+LYING = '<transform name="to_world"><translate z="-0.5"/><rotate y="1" angle="80"/></transform>'
 LENS = '<float name="aperture_radius" value="0.1"/><float name="focus_distance" value="3"/>'
 BESIDE = """<shape type="sphere"><point name="center" x="1.2" y="0.6" z="1"/>
   <float name="radius" value="0.3"/>{}</shape>"""

@@ -24,6 +24,8 @@ BOMB = (
     + "".join(f'<!ENTITY a{i} "{f"&a{i - 1};" * 10}">' for i in range(1, 10))
     + ']><scene version="3.0.0"><x>&a9;</x></scene>'
 )
+
+
 def default(length: int) -> str:
     """A parameter that stands for ten of the one before it."""
     value = 10 * ("$" + "a" * (length - 1))
