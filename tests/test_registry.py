@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import sys
 from importlib.metadata import EntryPoint
 from pathlib import Path
 
@@ -156,6 +158,19 @@ def test_a_lone_class_is_read_again_after_an_edit(tmp_path: Path):
     assert digest_of_class(file, "Plugin") == before
     (tmp_path / "helper.py").write_text("A = 1000\n")
     assert digest_of_class(file, "Plugin") != before
+
+
+def test_an_edit_of_the_same_length_within_a_second_runs(
+    adapters: Path, monkeypatch: pytest.MonkeyPatch
+):
+    """Python tells kept byte code from an edited file by its length and whole seconds."""
+    monkeypatch.setattr(sys, "dont_write_bytecode", False)
+    text = adapters.read_text()
+    for nanoseconds, value in enumerate("12"):
+        adapters.write_text(f"{text}\nVALUE = {value}\n")
+        os.utime(adapters, ns=(10**18 + nanoseconds,) * 2)
+        method = registry.make(f"{adapters}:Good")
+        assert str(sys.modules[type(method).__module__].VALUE) == value
 
 
 def test_a_broken_entry_point_hides_no_other(tmp_path, monkeypatch, capsys):

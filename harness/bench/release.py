@@ -14,7 +14,6 @@ import argparse
 import sys
 import time
 from collections.abc import Callable
-from importlib import import_module
 from pathlib import Path
 
 import drjit as dr
@@ -27,12 +26,7 @@ from harness.core.protocol.method import Budget
 from harness.materials import registry as materials
 from harness.mitsuba_runtime import variant
 
-MODELS = {
-    "improved-baseline": ("model.gmm", "BaseLine", {}),
-    "two-lobe": ("model.gmm", "GMM", {}),
-    "neural-spline-flow": ("model.nsf", "NSF_prior", {}),
-}
-"""By our name: their module, its class, and the parameters of ours."""
+MODELS = ("improved-baseline", "two-lobe", "neural-spline-flow")
 FEATURES = 8
 Works = dict[str, Callable[[], object]]
 
@@ -68,11 +62,10 @@ def main() -> None:
 
 def _works(name: str, options: argparse.Namespace) -> Works:
     device, rows = options.device, options.rows
-    module, model, params = MODELS[name]
     generator = torch.Generator().manual_seed(0)
-    release = getattr(import_module(module), model)().to(device)
+    release = _theirs(name).to(device)
     material = materials.make(options.material)
-    method = registry.make(name, **params)
+    method = registry.make(name)
     method.fit(material, Budget(steps=1, pool=64, device=device), generator)
     condition = material.conditions(rows, generator, device)
     u = torch.rand(rows, 3, generator=generator).to(device)
@@ -85,6 +78,14 @@ def _works(name: str, options: argparse.Namespace) -> Works:
         "ours, pdf": lambda: method.pdf(condition, wo),
         "theirs, pdf": lambda: release(wo.clone(), seen),
     }
+
+
+def _theirs(name: str) -> torch.nn.Module:
+    # Of the clone, whose folder was put on the path.
+    from model.gmm import GMM, BaseLine
+    from model.nsf import NSF_prior
+
+    return dict(zip(MODELS, (BaseLine, GMM, NSF_prior), strict=True))[name]()
 
 
 @torch.inference_mode()
