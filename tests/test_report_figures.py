@@ -7,6 +7,7 @@ import math
 import warnings
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -17,7 +18,7 @@ from harness.analysis.combine import Estimate
 from harness.analysis.quantities import nanoseconds_per_sample
 from harness.analysis.records.convergence import curve_of
 from harness.analysis.results import MethodColumn, Results
-from harness.report.figures import fonts, palette
+from harness.report.figures import fonts, images, palette
 from harness.report.figures.canvas import Canvas
 from harness.report.figures.curve_grid import groups
 from harness.report.figures.log_panel import LogPanel, powers_of_ten, tick_label, ticks
@@ -25,7 +26,7 @@ from harness.report.figures.palette import looks
 from harness.report.figures.rendered import exposure, reference, srgb
 from harness.report.figures.small_multiples import Labels, panels
 from harness.report.figures.style import styled
-from harness.report.figures.tradeoff import Point, _front
+from harness.report.figures.tradeoff import Point, _front, _means
 from harness.report.parts import part, parts
 from harness.report.series.shots import shots, telling_squares, truth, worst_square
 from tests.report_reading import cell_of
@@ -285,3 +286,31 @@ def test_infinite_divergence_is_named_not_drawn(failing: Path, tmp_path: Path):
     assert cell_of(part("tables", "pdf")(changed), MATERIALS[0], "cosine", 1).parts[0] == "∞"
     mean = cell_of(part("tables", "pdf")(changed), "geometric mean", "cosine", 1)
     assert "not positive and finite" in mean.missing
+
+
+def test_means_are_over_the_materials_that_all_methods_have():
+    """A method that has a number on few of them is left out, and said to be."""
+    methods = [MethodColumn(name, name) for name in ("all", "most", "few")]
+    has = {"a": "all most few", "b": "all most", "c": "all"}
+    error = {"a": 1.0, "b": 4.0, "c": 100.0}
+    of = {
+        material: [
+            Point(m, Estimate(2.0, 1.9, 2.1), Estimate(error[material], 0.5, 200.0))
+            for m in methods
+            if m.label in has[material].split()
+        ]
+        for material in has
+    }
+    means, over, left_out = _means(SimpleNamespace(methods=methods), of)
+    assert over == ["a", "b"] and left_out == ["few"]
+    assert {p.method.label: p.error.value for p in means} == pytest.approx({"all": 2, "most": 2})
+    assert _means(SimpleNamespace(methods=methods[2:]), {"b": of["b"], "c": of["c"]})[0] == []
+
+
+def test_pictures_leave_out_what_the_suite_does_not_plan(tmp_path: Path):
+    folder = Made(measures=("equal-time",), methods=["cosine", "improved-baseline"]).write(tmp_path)
+    results = Results.load(folder)
+    results.methods.append(MethodColumn("elsewhere", "tabulated"))
+    material, scene = results.materials[0], results.scenes("equal-time")[0]
+    row = images._row(results, material, scene)
+    assert [shot.method.label for shot in row.shots] == ["cosine", "improved-baseline"]

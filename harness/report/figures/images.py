@@ -12,7 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.patches import Rectangle
 from numpy.typing import NDArray
 
-from harness.analysis.results import Results
+from harness.analysis.results import NO_TRIAL, Results
 from harness.report.figures.canvas import Canvas, Drawn, picture, sheet, wrapped
 from harness.report.figures.rendered import exposure, srgb
 from harness.report.figures.slices import missing
@@ -69,7 +69,7 @@ def images(results: Results, canvas: Canvas) -> list[Drawn] | str:
 
 
 def _row(results: Results, material: str, scene: str) -> _Row | None:
-    made = shots(results, material, scene)
+    made = [shot for shot in shots(results, material, scene) if shot.why != NO_TRIAL]
     if not made:
         return None
     renders = [shot.image for shot in made if shot.image is not None]

@@ -59,8 +59,11 @@ def _scene(results: Results, canvas: Canvas, scene: str) -> Drawn | None:
     of = {material: points for material, points in of.items() if points}
     if not of:
         return None
+    left_out: list[str] = []
     if len(of) > 1:
-        of = {_ALL: _means(results, list(of.values()))} | of
+        means, over, left_out = _means(results, of)
+        if means:
+            of = {f"{_ALL} over {len(over)} materials": means} | of
     weights = bool(results.trials("sample-weights"))
     quantity = "relative variance" if weights else "χ² divergence"
     ink, lost = _sheet(of, quantity, looks(results))
@@ -78,7 +81,9 @@ def _scene(results: Results, canvas: Canvas, scene: str) -> Drawn | None:
         + f" against the time of one rendered sample in the scene {scene}; both axes logarithmic, "
         "bars are 95% intervals. Lower and further left is better; the grey line joins the methods "
         "that no other beats in both."
-        + f" The {_ALL} is of methods with a number on every material." * (len(of) > 1)
+        + f" The {_ALL} is over the materials on which each of its methods has a number."
+        * (len(of) > 1)
+        + f" Not in it: {', '.join(left_out)}." * bool(left_out)
         + f" Without room for their labels: {', '.join(lost)}." * bool(lost),
     )
 
@@ -143,16 +148,33 @@ def _points(results: Results, material: str, scene: str) -> list[Point]:
     return points
 
 
-def _means(results: Results, panels: list[list[Point]]) -> list[Point]:
-    """Geometric means of the methods that have a positive, finite point in every panel."""
+def _means(
+    results: Results, of: dict[str, list[Point]]
+) -> tuple[list[Point], list[str], list[str]]:
+    """Geometric means, the materials they are over, and the methods that are left out.
+
+    Over the materials on which all these methods have a positive, finite point, since means over
+    different materials do not compare. A method that has none on most materials is left out.
+    """
+    points = {
+        material: {p.method.label: p for p in found if _finite(p)} for material, found in of.items()
+    }
+    labels = [method.label for method in results.methods]
+    counts = {label: sum(label in found for found in points.values()) for label in labels}
+    methods = [m for m in results.methods if 2 * counts[m.label] > len(points)]
+    over = [m for m, found in points.items() if all(one.label in found for one in methods)]
+    if not over or not methods:
+        return [], [], []
     means = []
-    for method in results.methods:
-        points = [p for points in panels for p in points if p.method.label == method.label]
-        if len(points) == len(panels) and all(0 < p.error.value < math.inf for p in points):
-            count = len(points)
-            time = geometric_mean([p.time for p in points], count)
-            means.append(Point(method, time, geometric_mean([p.error for p in points], count)))
-    return means
+    for method in methods:
+        there = [points[material][method.label] for material in over]
+        time, error = (
+            geometric_mean([getattr(p, name) for p in there], len(there))
+            for name in ("time", "error")
+        )
+        means.append(Point(method, time, error))
+    some = [label for label in labels if counts[label] and label not in {m.label for m in methods}]
+    return means, over, some
 
 
 def _panel(
