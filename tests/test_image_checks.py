@@ -310,3 +310,11 @@ def test_no_table():
     """Of a suite without the measure."""
     row = {"material": "suede", "method": "cosine", "metric": "kl", "value": 1.0, "measure": "pdf"}
     assert table([row]) == "no trial of the measure image-checks is stored"
+
+
+def test_stale_tests_are_shown_and_marked():
+    """They count in Holm's correction with the others."""
+    at = {"material": "suede", "method": "old", "status": "stale", "reason": "stale: code changed"}
+    made = table([{**at, "metric": "furnace-p", "value": 0.5}])
+    cell = made.sections[0].rows[0].cells[0]
+    assert cell.value == 0.5 and "code changed" in cell.warning

@@ -5,7 +5,7 @@ from __future__ import annotations
 from harness.analysis import numbers
 from harness.analysis.bias import LEVEL
 from harness.analysis.combine import Estimate
-from harness.analysis.results import MethodColumn, Results
+from harness.analysis.results import SHOWN, MethodColumn, Results
 from harness.report.table import Cell, Row, Section, Table
 from harness.report.tables.common import cell, circumstances
 from harness.stats.ztest import holm
@@ -70,7 +70,7 @@ def image_checks(results: Results) -> Table | str:
 
 def corrected_p(results: Results) -> dict[Key, float]:
     """Holm-corrected p-values of all tests stored; the smallest over seeds for each cell."""
-    rows = [row for row in results.rows(MEASURE) if row["status"] == "ok"]
+    rows = [row for row in results.rows(MEASURE) if row["status"] in SHOWN]
     tests = [
         (check, row)
         for row in rows
@@ -96,11 +96,12 @@ def _p_cell(
     if isinstance(raw, str):
         return Cell(missing=raw, ceiling=method.ceiling)
     p = corrected[(check, material, method.label, scene)]
-    warning = ""
+    warning = raw.note
     if p < LEVEL:
         off = results.number(MEASURE, check, material, method.label, scene)
         size = f" by {off.value:+.2%}" if isinstance(off, Estimate) else ""
-        warning = f"{method.label} on {material}, {CHECKS[check]}: differs{size}"
+        differs = f"{method.label} on {material}, {CHECKS[check]}: differs{size}"
+        warning = "; ".join(filter(None, [differs, warning]))
     return Cell(p, text=numbers.p_value(p), warning=warning, ceiling=method.ceiling)
 
 
