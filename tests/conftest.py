@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -48,3 +49,17 @@ def failing(tmp_path_factory: pytest.TempPathFactory) -> Path:
         },
         bias={("fan-baseline", "elephant-hide"): 1e-12},
     ).write(tmp_path_factory.mktemp("failing"))
+
+
+@pytest.fixture
+def switched(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[str], None]]:
+    """Sets the environment variable, and has the library looked for again before and after."""
+    from harness.core.compiled import instruction_sets, library
+
+    def switch(name: str) -> None:
+        monkeypatch.setenv(instruction_sets.VARIABLE, name)
+        library.found.cache_clear()
+
+    yield switch
+    monkeypatch.undo()
+    library.found.cache_clear()

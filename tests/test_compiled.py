@@ -30,19 +30,6 @@ needs_compiler = pytest.mark.skipif(
 )
 
 
-@pytest.fixture
-def switched(monkeypatch):
-    """Sets the environment variable, and has the library looked for again before and after."""
-
-    def switch(name: str) -> None:
-        monkeypatch.setenv(instruction_sets.VARIABLE, name)
-        library.found.cache_clear()
-
-    yield switch
-    monkeypatch.undo()
-    library.found.cache_clear()
-
-
 def rand(*shape: int, seed: int = 0) -> Tensor:
     """Normal numbers."""
     return torch.randn(*shape, generator=torch.Generator().manual_seed(seed))

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from torch import Tensor
 
 from harness.core.columns.bridge import columns_of, tensor_of
-from harness.core.compiled import build, history, instruction_sets, library
+from harness.core.compiled import build, history, library
 from harness.nets import discrete_flow_columns
 from harness.nets.activations import ACTIVATIONS
 from harness.nets.discrete_flow import DiscreteFlow
@@ -23,19 +23,6 @@ pytestmark = pytest.mark.skipif(
     build.compiler() is None or isinstance(library.found(), str), reason="no compiled kernels here"
 )
 ENCODED = 5
-
-
-@pytest.fixture
-def switched(monkeypatch):
-    """Sets the environment variable, and has the library looked for again before and after."""
-
-    def switch(name: str) -> None:
-        monkeypatch.setenv(instruction_sets.VARIABLE, name)
-        library.found.cache_clear()
-
-    yield switch
-    monkeypatch.undo()
-    library.found.cache_clear()
 
 
 def flow_of(

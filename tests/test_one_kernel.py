@@ -16,6 +16,7 @@ from harness.mitsuba_runtime import variant
 mi = variant.use("cpu")
 
 from harness.bench import profile, ratios  # noqa: E402  a variant has to be set first
+from harness.bench.interleaved import interleaved  # noqa: E402
 from harness.rendering import meter  # noqa: E402
 from harness.rendering.prepared import prepare  # noqa: E402
 from harness.scenes import registry as scenes  # noqa: E402
@@ -96,5 +97,5 @@ def test_ratios_are_of_the_same_samples():
         for other in results[1:]:
             for a, b in zip(results[0], other, strict=True):
                 torch.testing.assert_close(a, b, rtol=1e-4, atol=1e-4)
-    seconds = ratios.measure(found["pdf"], 2)
+    seconds = interleaved(found["pdf"], 2)
     assert set(seconds) == ways and all(len(s) == 2 and (s > 0).all() for s in seconds.values())

@@ -10,14 +10,13 @@ machine lengthens less than that of the wall; shares are medians over interleave
 from __future__ import annotations
 
 import argparse
-import time
-from collections.abc import Callable
 from itertools import pairwise
 
 import drjit as dr
 import numpy as np
 import torch
 
+from harness.bench.interleaved import Work, interleaved
 from harness.bench.ratios import without_kernels
 from harness.core.columns.bridge import columns_of
 from harness.core.compiled import library
@@ -67,7 +66,7 @@ def main() -> None:
         flops = (3 * STEPS * passes + 2 * ENCODED * width) * CHUNK
         cases[name] = "-".join(map(str, sizes)), flops, _flow_works(width, layers, activation)
     for name, (sizes, flops, works) in cases.items():
-        seconds = _interleaved(works | {"product": lambda: a @ b}, rounds)
+        seconds = interleaved(works | {"product": lambda: a @ b}, rounds)
         product = 2 * SIDE**3 / seconds["product"]
         line = f"{name:20}{sizes:24}"
         for kind in ("compiled", "Dr.Jit", "PyTorch"):
@@ -79,11 +78,11 @@ def main() -> None:
         print(f"{line}{np.median(product) / 1e9:10.1f}", flush=True)
 
 
-def _works(widths: list[int], activation: str, rows: int) -> dict[str, Callable[[], object]]:
+def _works(widths: list[int], activation: str, rows: int) -> dict[str, Work]:
     net = MLP(widths, activation).eval()
     x = torch.randn(rows, widths[0])
     columns = columns_of(x)
-    found: dict[str, Callable[[], object]] = {}
+    found: dict[str, Work] = {}
     made = library.found()
     if not isinstance(made, str):
         packed, seen = net.compiled(made), Encoded.plain(columns)
@@ -102,7 +101,7 @@ def _works(widths: list[int], activation: str, rows: int) -> dict[str, Callable[
     return found | {"Dr.Jit": cooperative, "PyTorch": in_torch}
 
 
-def _flow_works(width: int, layers: int, activation: str) -> dict[str, Callable[[], object]]:
+def _flow_works(width: int, layers: int, activation: str) -> dict[str, Work]:
     """The steps of a flow with their determinants."""
     net = Velocity(ENCODED, width, layers, activation).requires_grad_(False)
     torch.nn.init.normal_(net.layers[-1].weight, std=0.1)
@@ -125,17 +124,6 @@ def _flow_works(width: int, layers: int, activation: str) -> dict[str, Callable[
 
     found = {} if isinstance(library.found(), str) else {"compiled": run}
     return found | {"Dr.Jit": in_dr_jit, "PyTorch": in_torch}
-
-
-def _interleaved(works: dict[str, Callable[[], object]], rounds: int) -> dict[str, np.ndarray]:
-    """Seconds [rounds] of each, on the processor's clock, after one that compiles."""
-    times: dict[str, list[float]] = {name: [] for name in works}
-    for _ in range(rounds + 1):
-        for name, work in works.items():
-            start = time.process_time()
-            work()
-            times[name].append(time.process_time() - start)
-    return {name: np.array(values[1:]) for name, values in times.items()}
 
 
 if __name__ == "__main__":

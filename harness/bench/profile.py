@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, fields
 
 import drjit as dr
@@ -100,14 +100,9 @@ def run(
     """Fit briefly, then take every column method apart, on the CPU."""
     variant.use("cpu")
     material = materials.make(material_name)
-    generator = torch.Generator().manual_seed(1)
-    condition = material.conditions(BATCH, generator, "cpu").contiguous()
-    u = torch.rand(BATCH, 3, generator=generator)
+    condition, u = drawn(material, BATCH)
     cells = []
-    for name in names or registry.names():
-        method = fitted(name, material, steps, notify)
-        if method is None:
-            continue
+    for name, method in each_fitted(names, material, steps, notify):
         notify(f"profiling {name}")
         parts = measure(method, condition, u, rounds)
         numbers = [getattr(parts, field.name) for field in fields(parts)]
@@ -134,22 +129,29 @@ def run(
     )
 
 
-def fitted(
-    name: str, material: Material, steps: int, notify: Callable[[str], None]
-) -> ColumnMethod | None:
-    """The method after a short fit; None with a note where it cannot be taken apart."""
-    method = registry.make(name)
-    supported, reason = method.supports(material)
-    if not supported:
-        notify(f"{name}: {reason}")
-        return None
-    if not isinstance(method, ColumnMethod):
-        notify(f"{name}: runs in PyTorch, one piece")
-        return None
-    notify(f"fitting {name}")
-    budget = Budget(steps=steps, pool=256, device="cpu")
-    method.fit(material, budget, torch.Generator().manual_seed(0))
-    return method
+def drawn(material: Material, rows: int) -> tuple[Tensor, Tensor]:
+    """Conditions [rows, C], stored row by row, and uniforms [rows, 3]."""
+    generator = torch.Generator().manual_seed(1)
+    condition = material.conditions(rows, generator, "cpu").contiguous()
+    return condition, torch.rand(rows, 3, generator=generator)
+
+
+def each_fitted(
+    names: list[str] | None, material: Material, steps: int, notify: Callable[[str], None]
+) -> Iterator[tuple[str, ColumnMethod]]:
+    """Column methods by name, by default all, after a short fit; a note says what is left out."""
+    for name in names or registry.names():
+        method = registry.make(name)
+        supported, reason = method.supports(material)
+        if not supported:
+            notify(f"{name}: {reason}")
+        elif not isinstance(method, ColumnMethod):
+            notify(f"{name}: runs in PyTorch, one piece")
+        else:
+            notify(f"fitting {name}")
+            budget = Budget(steps=steps, pool=256, device="cpu")
+            method.fit(material, budget, torch.Generator().manual_seed(0))
+            yield name, method
 
 
 def _seconds(work: Callable[[], object]) -> float:

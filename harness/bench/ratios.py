@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import time
 from collections.abc import Callable, Iterator
 
 import drjit as dr
@@ -12,8 +11,9 @@ import torch
 from torch import Tensor
 
 from harness.bench.adapters import Rows
-from harness.bench.profile import fitted
-from harness.core import machine, registry
+from harness.bench.interleaved import Work, interleaved
+from harness.bench.profile import drawn, each_fitted
+from harness.core import machine
 from harness.core.compiled import library
 from harness.core.protocol.method import Method
 from harness.materials import registry as materials
@@ -24,8 +24,6 @@ from harness.stats.intervals import median_interval
 BATCH = 1 << 14
 """Rows of a call; what PyTorch's activations of a network have in a CPU's cache."""
 WAYS = ("compiled", "Dr.Jit", "PyTorch")
-
-Work = Callable[[], object]
 
 
 @contextlib.contextmanager
@@ -60,19 +58,6 @@ def works(method: Method, condition: Tensor, u: Tensor) -> dict[str, dict[str, W
     return found
 
 
-def measure(ways: dict[str, Work], rounds: int) -> dict[str, np.ndarray]:
-    """Seconds [rounds] of each in interleaved rounds, by the processor's clock, after one more."""
-    seconds: dict[str, list[float]] = {name: [] for name in ways}
-    for _ in range(rounds + 1):
-        for name, work in ways.items():
-            dr.sync_thread()
-            start = time.process_time()
-            work()
-            dr.sync_thread()
-            seconds[name].append(time.process_time() - start)
-    return {name: np.array(values[1:]) for name, values in seconds.items()}
-
-
 def run(
     names: list[str] | None,
     material_name: str,
@@ -87,21 +72,16 @@ def run(
     """
     variant.use("cpu")
     material = materials.make(material_name)
-    generator = torch.Generator().manual_seed(1)
-    condition = material.conditions(BATCH, generator, "cpu").contiguous()
-    u = torch.rand(BATCH, 3, generator=generator)
+    condition, u = drawn(material, BATCH)
     threads = dr.thread_count(), torch.get_num_threads()
     cells = []
-    for name in names or registry.names():
-        method = fitted(name, material, steps, notify)
-        if method is None:
-            continue
+    for name, method in each_fitted(names, material, steps, notify):
         notify(f"timing {name}")
         dr.set_thread_count(1)
         torch.set_num_threads(1)
         try:
             for what, ways in works(method, condition, u).items():
-                cells.append([f"{name}, {what}", *_cells(measure(ways, rounds))])
+                cells.append([f"{name}, {what}", *_cells(interleaved(ways, rounds))])
         finally:
             dr.set_thread_count(threads[0])
             torch.set_num_threads(threads[1])

@@ -12,14 +12,13 @@ from __future__ import annotations
 
 import argparse
 import sys
-import time
-from collections.abc import Callable
 from pathlib import Path
 
 import drjit as dr
 import numpy as np
 import torch
 
+from harness.bench.interleaved import Work, interleaved
 from harness.core import registry
 from harness.core.compiled import library
 from harness.core.protocol.method import Budget
@@ -28,7 +27,6 @@ from harness.mitsuba_runtime import variant
 
 MODELS = ("improved-baseline", "two-lobe", "neural-spline-flow")
 FEATURES = 8
-Works = dict[str, Callable[[], object]]
 
 
 def main() -> None:
@@ -53,14 +51,15 @@ def main() -> None:
     print(f"{'':20}" + "".join(f"{word:>13}" for word in head))
     for name in MODELS:
         works = _works(name, options)
-        seconds = _interleaved(works, options.rounds, options.device)
+        with torch.inference_mode():
+            seconds = interleaved(works, options.rounds, options.device)
         rates = {work: np.median(options.rows / each / 1e6) for work, each in seconds.items()}
         theirs, ours = (seconds[who] + seconds[f"{who}, pdf"] for who in ("theirs", "ours"))
         line = "".join(f"{rates[word]:13.2f}" for word in head[:-1])
         print(f"{name:20}{line}{np.median(theirs / ours):13.2f}", flush=True)
 
 
-def _works(name: str, options: argparse.Namespace) -> Works:
+def _works(name: str, options: argparse.Namespace) -> dict[str, Work]:
     device, rows = options.device, options.rows
     generator = torch.Generator().manual_seed(0)
     release = _theirs(name).to(device)
@@ -86,25 +85,6 @@ def _theirs(name: str) -> torch.nn.Module:
     from model.nsf import NSF_prior
 
     return dict(zip(MODELS, (BaseLine, GMM, NSF_prior), strict=True))[name]()
-
-
-@torch.inference_mode()
-def _interleaved(works: Works, rounds: int, device: str) -> dict[str, np.ndarray]:
-    """Seconds [rounds] of each, after two that compile."""
-    times: dict[str, list[float]] = {name: [] for name in works}
-    for _ in range(rounds + 2):
-        for name, work in works.items():
-            start = _clock(device)
-            work()
-            times[name].append(_clock(device) - start)
-    return {name: np.array(values[2:]) for name, values in times.items()}
-
-
-def _clock(device: str) -> float:
-    if device == "cpu":
-        return time.process_time()
-    torch.cuda.synchronize()
-    return time.perf_counter()
 
 
 if __name__ == "__main__":

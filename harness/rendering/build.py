@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
 from typing import Any
 
 import drjit as dr
@@ -13,9 +14,11 @@ from harness.core.protocol.disk import REC709
 from harness.effects.base import Recipe
 from harness.geometry.primitives import MaterialSpec, Mesh, Sphere
 from harness.geometry.shapes import sphere_mesh
+from harness.microgeometry.walks.meshes import Part
 from harness.scenes.base import AreaLamp, Camera, PointLamp, Scene
 
 _WEIGHTS = np.array(REC709)
+_NONE: Mapping[str, np.ndarray] = MappingProxyType({})
 _BLACK = {
     "name": "lamp",
     "type": "mitsuba",
@@ -72,7 +75,8 @@ def build(
             description[f"lamp{i}"] = _counted(light) if counted else light
     for i, shape in enumerate(scene.shapes):
         material = bsdf if shape.tested else around(shape.material)
-        description[f"shape{i}"] = _mesh(f"shape{i}", shape, material)
+        mesh = sphere_mesh(shape) if isinstance(shape, Sphere) else shape
+        description[f"shape{i}"] = mesh_of(f"shape{i}", mesh, material)
     return mi.load_dict(description)
 
 
@@ -135,8 +139,10 @@ def _colour(rgb: Any, channels: int) -> dict[str, Any]:
     return {"type": "rgb", "value": rgb if channels == 3 else [float(np.dot(rgb, _WEIGHTS))] * 3}
 
 
-def _mesh(name: str, shape: Sphere | Mesh, bsdf: Any) -> mi.Mesh:
-    mesh = sphere_mesh(shape) if isinstance(shape, Sphere) else shape
+def mesh_of(
+    name: str, mesh: Mesh | Part, bsdf: Any, colours: Mapping[str, np.ndarray] = _NONE
+) -> mi.Mesh:
+    """Mitsuba's mesh of vertices, faces, normals and uv; ``colours`` [V, 3] by attribute."""
     props = mi.Properties()
     props["bsdf"] = bsdf
     built = mi.Mesh(
@@ -147,6 +153,8 @@ def _mesh(name: str, shape: Sphere | Mesh, bsdf: Any) -> mi.Mesh:
         has_vertex_texcoords=True,
         props=props,
     )
+    for attribute, values in colours.items():
+        built.add_attribute(attribute, 3, np.ravel(values).astype(np.float32))
     parameters = mi.traverse(built)
     parameters["vertex_positions"] = np.ravel(mesh.vertices).astype(np.float32)
     parameters["faces"] = mi.UInt32(np.ravel(mesh.faces).astype(np.uint32))

@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
-import drjit as dr
 import mitsuba as mi
 import numpy as np
 
@@ -70,28 +69,10 @@ def prepare_tiled(scene: Scene, surface: WalkedSurface, resolution: int) -> Prep
 
 
 def _mesh(name: str, part: Part) -> mi.Mesh:
-    props = mi.Properties()
-    props["bsdf"] = mi.load_dict(with_bitmaps(mi, _bsdf(part.micro, part.tint is not None)))
-    mesh = mi.Mesh(
-        name,
-        vertex_count=len(part.vertices),
-        face_count=len(part.faces),
-        has_vertex_normals=part.normals is not None,
-        has_vertex_texcoords=True,
-        props=props,
-    )
-    if part.tint is not None:
-        tint = part.tint * np.array(part.micro.reflectance)
-        mesh.add_attribute(_TINT, 3, np.ravel(tint).astype(np.float32))
-    parameters = mi.traverse(mesh)
-    parameters["vertex_positions"] = np.ravel(part.vertices).astype(np.float32)
-    parameters["faces"] = mi.UInt32(np.ravel(part.faces))
-    parameters["vertex_texcoords"] = np.ravel(part.uv).astype(np.float32)
-    if part.normals is not None:
-        parameters["vertex_normals"] = np.ravel(part.normals).astype(np.float32)
-    parameters.update()
-    dr.eval(parameters["vertex_positions"])
-    return mesh
+    tinted = part.tint is not None
+    bsdf = mi.load_dict(with_bitmaps(mi, _bsdf(part.micro, tinted)))
+    colours = {_TINT: part.tint * np.array(part.micro.reflectance)} if tinted else {}
+    return build.mesh_of(name, part, bsdf, colours)
 
 
 def _bsdf(micro: MicroBSDF, tinted: bool) -> Mapping[str, Any]:
