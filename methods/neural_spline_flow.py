@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import ClassVar
 
 import drjit as dr
@@ -20,6 +19,7 @@ from harness.nets.coupling import CouplingNet, unit_normal_columns
 from harness.nets.encoding import ConditionEncoder, Encoded
 from harness.nets.extremes import FAR, held
 from harness.nets.mlp import MLP
+from harness.nets.spline_couplings import SplineCouplings
 
 _START = -0.7
 """Log sigma of the base before fitting: half the disk's radius, broad but mostly inside."""
@@ -42,15 +42,16 @@ class SplineFlow(nn.Module):
         couplings: int,
         frequencies: int,
         lambertian: bool = False,
+        square: bool = False,
     ):
         super().__init__()
         self.encoder = ConditionEncoder(material.n_address, material.n_features)
-        encoded, numbers = self.encoder.width, spline.outputs(bins)
+        encoded = self.encoder.width
         self.base = MLP([encoded, width, 5 if lambertian else 4], "leaky_relu", zero_last=True)
         with torch.no_grad():
             self.base.layers[-1].bias[2:4] = _START
-        self.couplings = nn.ModuleList(
-            CouplingNet(encoded, width, numbers, frequencies, layers) for _ in range(couplings)
+        self.couplings = SplineCouplings(
+            encoded, width, bins, frequencies, layers, couplings, square
         )
 
     @property
@@ -152,6 +153,7 @@ class NeuralSplineFlow(FlowMethod):
             self.couplings,
             self.frequencies,
             self.lambertian,
+            self.square,
         )
 
     def extremes(self) -> dict[str, dict[str, Tensor]]:
@@ -206,28 +208,14 @@ class NeuralSplineFlow(FlowMethod):
             dr.fma(z, dr.exp(s), m)
             for z, s, m in zip(unit_normal_columns(u), log_sigma, mean, strict=True)
         ]
-        for i in range(self.couplings - 1, 0, -1):
-            own, other = i % 2, 1 - i % 2
-            at[own] = net.couplings[i].unwarp_columns(at[other], encoded, at[own])
-        x, y = at
-        y = dr.select(elsewhere, there[1], y)
-        chord = self._chord(y)
-        place, *warped = net.x_given_y.draw_columns(y, encoded, x, elsewhere, there[0], chord)
-        return place, y, self._density(encoded, base, warped, chord, [place, y])
+        wo, back = net.couplings.draw_columns(at, encoded, elsewhere, there)
+        return *wo, self._density(base, back, wo)
 
     def pdf_columns(self, c: Columns, wo: Columns) -> Float:
         """See :meth:`ColumnMethod.pdf_columns`."""
         encoded = self.module.encoder.encoded(c)
-        chord = self._chord(wo[1])
-        warped = self.module.x_given_y.warp_columns(wo[1], encoded, wo[0] / chord)
-        return self._density(encoded, self._base(encoded), warped, chord, wo)
-
-    def _chord(self, y: Float) -> Float:
-        """What x is divided by: half the disk's width at ``y``, or one."""
-        if not self.square:
-            return type(y)(1)
-        squared = (1 - y) * (1 + y)
-        return dr.sqrt(dr.select(squared > 0, squared, 1))
+        back = self.module.couplings.to_base_columns(wo, encoded)
+        return self._density(self._base(encoded), back, wo)
 
     def _base(self, encoded: Encoded) -> tuple[Columns, Columns, Float | float]:
         """The Gaussian's mean and log sigma, and the uniform share."""
@@ -239,24 +227,16 @@ class NeuralSplineFlow(FlowMethod):
 
     def _density(
         self,
-        encoded: Encoded,
         base: tuple[Columns, Columns, Float | float],
-        warped: Sequence[Float],
-        chord: Float,
+        back: tuple[Float, Float, Float],
         wo: Columns,
     ) -> Float:
-        """Density at ``wo``; ``warped`` is what the first spline makes of it, and its slope."""
-        x, slope = warped
-        at = [x, wo[1]]
-        for i in range(1, self.couplings):
-            own, other = i % 2, 1 - i % 2
-            coupling = self.module.couplings[i]
-            at[own], slope_own = coupling.warp_columns(at[other], encoded, at[own])
-            slope = slope * slope_own
+        """Density at ``wo``; ``back`` is its point of the base, and the determinant."""
+        x, y, slope = back
         (mx, my), (sx, sy), share = base
-        zx, zy = (at[0] - mx) * dr.exp(-sx), (at[1] - my) * dr.exp(-sy)
+        zx, zy = (x - mx) * dr.exp(-sx), (y - my) * dr.exp(-sy)
         normal = dr.exp(-0.5 * dr.fma(zx, zx, zy * zy) - sx - sy - lobes.LOG_2PI)
-        return defensive.mixed_columns(normal * (slope / chord), wo, share)
+        return defensive.mixed_columns(normal * slope, wo, share)
 
 
 def _log_chord(y: Tensor) -> Tensor:

@@ -199,9 +199,9 @@ def test_packed_weights_follow_the_parameters(change):
     """The packed copy is made again when a parameter changes, and only then."""
     mlp, x = net([3, 16, 2]), rand(9, 3)
     before = through_columns(mlp.columns, x)
-    packed = mlp._packed
+    packed = mlp._forms._made
     assert torch.equal(through_columns(mlp.columns, x), before)
-    assert mlp._packed is packed
+    assert mlp._forms._made is packed
     CHANGES[change](mlp)
     with torch.no_grad():
         expected = mlp(x)

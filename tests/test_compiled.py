@@ -18,9 +18,9 @@ from harness.core.protocol.errors import InputError
 from harness.nets import compiled_flow, spline
 from harness.nets.activations import ACTIVATIONS
 from harness.nets.compiled_network import MOST, MOST_BINS, MOST_ROWS, usable
-from harness.nets.coupling import CouplingNet
 from harness.nets.encoding import ConditionEncoder, Encoded
 from harness.nets.mlp import MLP
+from harness.nets.spline_couplings import SplineCouplings
 from harness.nets.velocity import Velocity
 
 each_example = settings(max_examples=25, deadline=None, derandomize=True, database=None)
@@ -119,7 +119,6 @@ def test_wider_registers_than_this_processors_give_the_same_bits(tmp_path, monke
     other = library.opened(build.library(target, tmp_path), target.name, 0.0)
     network, x = net([9, 33, 7], "silu"), Encoded.plain(columns_of(rand(500, 9)))
     found = tensor_of(*network.compiled(usual)(x), rows=500)
-    network._packed = b"", {}
     assert torch.equal(tensor_of(*network.compiled(other)(x), rows=500), found)
     velocity = Velocity(9, 20, 2).requires_grad_(False)
     torch.nn.init.normal_(velocity.layers[-1].weight, std=0.1)
@@ -127,6 +126,10 @@ def test_wider_registers_than_this_processors_give_the_same_bits(tmp_path, monke
     for way in (compiled_flow.FORWARD, compiled_flow.ENDPOINT, compiled_flow.INVERSE):
         one, two = (velocity.compiled(made).run(way, 4, x, at) for made in (usual, other))
         assert torch.equal(tensor_of(*one, rows=500), tensor_of(*two, rows=500)), way
+    couplings, part = spline_couplings(7)
+    c = part.encoded(columns_of(rand(500, 7)))
+    one, two = (couplings._compiled(made).draw(c, at, at[0] > 1, at) for made in (usual, other))
+    assert torch.equal(tensor_of(*one, rows=500), tensor_of(*two, rows=500))
 
 
 @needs_compiler
@@ -218,10 +221,12 @@ def test_transpose(rows, name, switched):
 # --- splines ---------------------------------------------------------------------------------
 
 
-def coupling(bins: int, seed: int = 0, size: float = 0.5) -> tuple[CouplingNet, ConditionEncoder]:
+def spline_couplings(
+    bins: int, couplings: int = 2, square: bool = False, seed: int = 0, size: float = 0.5
+) -> tuple[SplineCouplings, ConditionEncoder]:
     """With weights that make steep splines."""
     part = encoder()
-    made = CouplingNet(part.width, 16, spline.outputs(bins))
+    made = SplineCouplings(part.width, 16, bins, couplings=couplings, square=square)
     generator = torch.Generator().manual_seed(seed)
     for parameter in made.parameters():
         torch.nn.init.normal_(parameter, std=size, generator=generator)
@@ -237,15 +242,15 @@ def coupling(bins: int, seed: int = 0, size: float = 0.5) -> tuple[CouplingNet, 
 )
 @each_example
 def test_a_spline_is_torchs(bins, rows, seed, size):
-    made, part = coupling(bins, seed, size)
+    made, part = spline_couplings(bins, 1, seed=seed, size=size)
     c, other, at = rand(rows, 7, seed=seed), rand(rows, 1, seed=seed + 1), rand(rows, 1, seed=2)
     columns = columns_of(torch.cat([c, other, at], 1))
     seen, (o, x) = part.encoded(columns[:7]), columns[7:]
-    y, slope = made.warp_columns(o, seen, x)
-    back = made.unwarp_columns(o, seen, y)
-    found = tensor_of(y, slope, back, rows=rows)
+    y, _, slope = made.to_base_columns([x, o], seen)
+    drawn, _ = made.draw_columns([y, o], seen, type(y)(0) > 1, [x, o])
+    found = tensor_of(y, slope, drawn[0], rows=rows)
     with torch.no_grad():
-        raw = made.double()(other.double(), part.double()(c.double()))
+        raw = made[0].double()(other.double(), part.double()(c.double()))
         wanted, log_slope = spline.warp(raw, at.double())
     wanted, wanted_slope = wanted[:, 0], log_slope[:, 0].exp()
     # The outputs' own rounding, which steep splines magnify.
@@ -257,30 +262,36 @@ def test_a_spline_is_torchs(bins, rows, seed, size):
 
 
 @needs_compiler
-def test_a_drawn_places_density_is_that_of_a_query_bit_for_bit():
-    made, part = coupling(20)
-    c = columns_of(torch.cat([rand(5000, 8), rand(5000, 1, seed=3)], 1))
-    seen, other, value = part.encoded(c[:7]), c[7], c[8]
-    array = type(value)
-    keep, kept = dr.arange(dr.uint32_array_t(array), 5000) % 3 == 0, dr.sin(value)
-    chord = 0.5 + 0.25 * dr.cos(other)
-    place, y, slope = made.draw_columns(other, seen, value, keep, kept, chord)
-    again = made.warp_columns(other, seen, place / chord)
-    assert dr.all((y == again[0]) & (slope == again[1]))
-    assert dr.all(~keep | (place == kept))
+@pytest.mark.parametrize("couplings", [1, 2, 3])
+@pytest.mark.parametrize("square", [False, True])
+def test_a_drawn_places_density_is_that_of_a_query_bit_for_bit(couplings, square):
+    """Rows of a block that is not full too."""
+    made, part = spline_couplings(20, couplings, square)
+    c = columns_of(torch.cat([rand(5003, 7), rand(5003, 2, seed=3) / 2], 1))
+    seen, at = part.encoded(c[:7]), c[7:]
+    array = type(at[0])
+    keep = dr.arange(dr.uint32_array_t(array), 5003) % 3 == 0
+    kept = [dr.sin(at[0]), dr.cos(3 * at[1])]
+    wo, back = made.draw_columns(at, seen, keep, kept)
+    again = made.to_base_columns(wo, seen)
+    for one, other in zip(back, again, strict=True):
+        assert dr.all(one == other)
+    for place, wanted in zip(wo, kept, strict=True):
+        assert dr.all(~keep | (place == wanted))
+    assert not dr.any(~keep & (dr.abs(at[0]) < 0.9) & (wo[0] == at[0]))
 
 
 @needs_compiler
-def test_a_spline_without_compiled_kernels_is_the_same(switched):
-    made, part = coupling(20, size=0.1)
-    c = columns_of(torch.cat([rand(1000, 8), rand(1000, 1, seed=3).clamp(-0.99, 0.99)], 1))
-    seen, other, value = part.encoded(c[:7]), c[7], c[8]
-    array = type(value)
+@pytest.mark.parametrize("couplings", [1, 2, 3])
+@pytest.mark.parametrize("square", [False, True])
+def test_couplings_without_compiled_kernels_are_the_same(couplings, square, switched):
+    made, part = spline_couplings(20, couplings, square, size=0.1)
+    c = columns_of(torch.cat([rand(1000, 7), rand(1000, 2, seed=3).clamp(-0.99, 0.99)], 1))
+    seen, at = part.encoded(c[:7]), c[7:]
 
     def all_of_it() -> Tensor:
-        drawn = made.draw_columns(other, seen, value, value > 0.5, value, array(1))
-        warped = made.warp_columns(other, seen, value)
-        return tensor_of(*drawn, *warped, made.unwarp_columns(other, seen, value), rows=1000)
+        wo, back = made.draw_columns(at, seen, at[0] > 0.5, at)
+        return tensor_of(*wo, *back, *made.to_base_columns(at, seen), rows=1000)
 
     found = all_of_it()
     switched("off")

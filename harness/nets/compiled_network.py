@@ -21,8 +21,6 @@ MOST, MOST_BINS = 4096, 512
 MOST_ROWS = 1 << 23
 """More, as a fine grid of directions has them, stay in Dr.Jit's kernel: here every input and output
 is an array, gigabytes of them."""
-_OUTPUTS, _WARP, _UNWARP, _DRAW, _NOTHING = range(5)
-_USES = ("outputs", "warp", "unwarp", "draw", "nothing")
 ACTIVATIONS = {"relu": 0, "leaky_relu": 0, "silu": 1}
 
 
@@ -95,30 +93,15 @@ class Packed:
 
     def __call__(self, x: Encoded) -> Columns:
         """The network's outputs; computed when it returns."""
-        return self._run(x, _OUTPUTS, [], self.outputs)
-
-    def warp(self, x: Encoded, value: Float) -> Columns:
-        """``(y, dy/dx)`` of the spline that the outputs describe: :func:`spline.warp_columns`."""
-        return self._run(x, _WARP, [value], 2)
-
-    def unwarp(self, x: Encoded, value: Float) -> Columns:
-        """The inverse: :func:`spline.unwarp_columns`."""
-        return self._run(x, _UNWARP, [value], 1)
-
-    def draw(self, x: Encoded, value: Float, keep: Any, kept: Float, chord: Float) -> Columns:
-        """``(place, y, dy/dx)``: see :meth:`CouplingNet.draw_columns`."""
-        return self._run(x, _DRAW, [value, dr.select(keep, type(value)(1), 0), kept, chord], 3)
-
-    def _run(self, x: Encoded, use: int, extra: Columns, outputs: int) -> Columns:
-        """All that this reads is computed before, in one kernel of Dr.Jit's if it can be."""
-        raw = [*x.raw, *extra]
+        raw = x.raw
         rows = max(dr.width(column) for column in raw)
         array = type(raw[-1])
         if rows == 0:
-            return [array() for _ in range(outputs)]
+            return [array() for _ in range(self.outputs)]
         # Copies: what a caller holds stays as it is, a literal a literal.
         raw = [array(column) for column in raw]
-        out = empty(array, rows, outputs)
+        out = empty(array, rows, self.outputs)
+        # All that this reads is computed before, in one kernel of Dr.Jit's if it can be.
         places = addresses([*raw, *out])
         inputs = self._inputs(x)
         network = Network(
@@ -128,27 +111,21 @@ class Packed:
         wide = (ctypes.c_uint8 * len(raw))(*(dr.width(column) != 1 for column in raw))
         columns = pointers(places[: len(raw)]), wide, pointers(places[len(raw) :])
 
-        def run(use: int) -> None:
+        def work(kept: Any = (raw, out, inputs)) -> None:
             self.library.network(
                 ctypes.byref(network),
                 ctypes.c_uint32(rows),
                 *columns,
-                ctypes.c_int32(use),
                 ctypes.c_void_p(self.library.submit),
                 ctypes.c_void_p(self.library.wait),
             )
 
         start = time.perf_counter()
-        run(use)
+        work()
         if history.wanted():
             seconds = time.perf_counter() - start
-            what = f"{self.name}, {_USES[use]}"
             # The columns live as long as somebody may run it again.
-            history.add(
-                history.Run(
-                    what, rows, seconds, use != _OUTPUTS, lambda kept=(raw, inputs): run(_NOTHING)
-                )
-            )
+            history.add(history.Run(self.name, rows, seconds, False, work))
         return out
 
     def _inputs(self, x: Encoded) -> ctypes.Array:

@@ -3,17 +3,12 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import drjit as dr
 import torch
 from torch import Tensor, nn
 
 from harness.core.columns.bridge import Columns, Float
-from harness.core.compiled.library import Library
-from harness.core.protocol import counting
-from harness.nets import spline
-from harness.nets.compiled_network import Packed, usable
 from harness.nets.encoding import Encoded, sinusoids
 from harness.nets.mlp import MLP
 
@@ -48,51 +43,7 @@ class CouplingNet(nn.Module):
 
     def columns(self, coordinate: Float, encoded: Encoded) -> Columns:
         """The same over columns."""
-        return self.mlp.columns(self._seen(coordinate, encoded))
-
-    def warp_columns(self, other: Float, encoded: Encoded, x: Float) -> tuple[Float, Float]:
-        """``(y, dy/dx)`` by the spline that the outputs at ``other`` describe."""
-        seen = self._seen(other, encoded)
-        if library := self._usable(seen, x):
-            y, slope = self._compiled(library, seen, x).warp(seen, x)
-            return y, slope
-        return spline.warp_columns(self.mlp.columns(seen), x)
-
-    def unwarp_columns(self, other: Float, encoded: Encoded, y: Float) -> Float:
-        """Its inverse."""
-        seen = self._seen(other, encoded)
-        if library := self._usable(seen, y):
-            return self._compiled(library, seen, y).unwarp(seen, y)[0]
-        return spline.unwarp_columns(self.mlp.columns(seen), y)[0]
-
-    def draw_columns(
-        self, other: Float, encoded: Encoded, y: Float, keep: Any, kept: Float, chord: Float
-    ) -> tuple[Float, Float, Float]:
-        """``(place, y, dy/dx)``: the inverse at ``y`` times ``chord``, or ``kept`` where ``keep``.
-
-        ``y`` and the slope are those of the returned place, over ``chord``: bit for bit what
-        :meth:`warp_columns` has there.
-        """
-        seen = self._seen(other, encoded)
-        if library := self._usable(seen, y, kept, chord):
-            place, y, slope = self._compiled(library, seen, y).draw(seen, y, keep, kept, chord)
-            return place, y, slope
-        numbers = self.mlp.columns(seen)
-        x, _ = spline.unwarp_columns(numbers, y)
-        place = dr.select(keep, kept, x * chord)
-        return place, *spline.warp_columns(numbers, place / chord)
-
-    def _seen(self, coordinate: Float, encoded: Encoded) -> Encoded:
-        return Encoded.waves([coordinate], self.frequencies) + encoded
-
-    def _usable(self, seen: Encoded, *values: Float) -> Library | None:
-        widths = self.mlp.widths
-        return usable(seen, *values, widths=widths, bins=(widths[-1] + 1) // 3)
-
-    def _compiled(self, library: Library, seen: Encoded, value: Float) -> Packed:
-        if counting.wanted():
-            counting.add("network", max(dr.width(column) for column in (*seen.raw, value)))
-        return self.mlp.compiled(library)
+        return self.mlp.columns(Encoded.waves([coordinate], self.frequencies) + encoded)
 
 
 def unit_normal_columns(u: Columns) -> tuple[Float, Float]:

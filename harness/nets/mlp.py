@@ -17,6 +17,7 @@ from harness.core.protocol import counting
 from harness.nets import activations
 from harness.nets.compiled_network import Packed, usable
 from harness.nets.encoding import Encoded
+from harness.nets.forms import Forms
 from harness.nets.looped import LoopedMatrix
 
 
@@ -43,7 +44,7 @@ class MLP(nn.Module):
         if zero_last:
             nn.init.zeros_(self.layers[-1].weight)
             nn.init.zeros_(self.layers[-1].bias)
-        self._packed: tuple[bytes, dict[str, Any]] = b"", {}
+        self._forms = Forms()
 
     def forward(self, x: Tensor) -> Tensor:
         """[..., widths[0]] -> [..., widths[-1]]."""
@@ -110,26 +111,7 @@ class MLP(nn.Module):
         return self._kept("compiled", lambda n: Packed(library, n, self.activation, self.slope))
 
     def _kept(self, what: str, make: Callable[[list[np.ndarray]], Any]) -> Any:
-        """A form of the weights, made again whenever a parameter has changed."""
-        numbers = [p.detach().float().cpu().numpy() for p in self.parameters()]
-        # By content: torch's version counter misses the writes of fused optimisers.
-        content = b"".join(a.tobytes() for a in numbers)
-        if self._packed[0] != content:
-            self._packed = content, {}
-        forms = self._packed[1]
-        if what not in forms:
-            forms[what] = make(numbers)
-        return forms[what]
-
-    def __deepcopy__(self, memo: dict) -> MLP:
-        clone = self.__new__(type(self))
-        nn.Module.__init__(clone)
-        import copy
-
-        clone.layers = copy.deepcopy(self.layers, memo)
-        clone.widths = self.widths
-        clone.activation, clone.slope, clone._packed = self.activation, self.slope, (b"", {})
-        return clone
+        return self._forms.of(self.parameters(), what, make)
 
 
 def count_parameters(module: nn.Module) -> int:

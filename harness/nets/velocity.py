@@ -25,6 +25,7 @@ from harness.core.protocol import counting
 from harness.nets import activations
 from harness.nets.compiled_flow import Numbers, PackedFlow
 from harness.nets.encoding import Encoded
+from harness.nets.forms import Forms
 from harness.nets.looped import LoopedMatrix
 
 REACH = 8.0
@@ -75,7 +76,7 @@ class Velocity(nn.Module):
             # x is two inputs of many, and the ones that the field bends along.
             self.layers[0].weight[:, :2] *= 3
         self.activation, self.bounded = activation, bounded
-        self._forms: tuple[bytes, dict[str, Any]] = b"", {}
+        self._forms = Forms()
 
     # --- torch -------------------------------------------------------------------------
 
@@ -256,22 +257,4 @@ class Velocity(nn.Module):
         return self._kept(f"compiled for {library.name}", make)
 
     def _kept(self, what: str, make: Callable[[], Any]) -> Any:
-        """A form of the weights, made again whenever a parameter has changed."""
-        # By content: torch's version counter misses the writes of fused optimisers.
-        content = b"".join(p.detach().float().cpu().numpy().tobytes() for p in self.parameters())
-        if self._forms[0] != content:
-            self._forms = content, {}
-        forms = self._forms[1]
-        if what not in forms:
-            forms[what] = make()
-        return forms[what]
-
-    def __deepcopy__(self, memo: dict) -> Velocity:
-        import copy
-
-        clone = self.__new__(type(self))
-        nn.Module.__init__(clone)
-        clone.layers = copy.deepcopy(self.layers, memo)
-        clone.activation, clone.bounded, clone._forms = self.activation, self.bounded, (b"", {})
-        clone.waves, clone.own = self.waves, self.own
-        return clone
+        return self._forms.of(self.parameters(), what, lambda _: make())

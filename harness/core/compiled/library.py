@@ -30,6 +30,7 @@ class Library:
     load_seconds: float
     pack: ctypes._CFuncPtr
     network: ctypes._CFuncPtr
+    couplings: ctypes._CFuncPtr
     flow: ctypes._CFuncPtr
     transpose: ctypes._CFuncPtr
     functions: ctypes._CFuncPtr
@@ -75,7 +76,7 @@ def opened(file: Path, name: str, build_seconds: float) -> Library:
     """
     start = time.perf_counter()
     loaded = ctypes.CDLL(str(file))
-    for name_of in ("pack", "network", "flow", "transpose", "functions"):
+    for name_of in ("pack", "network", "couplings", "flow", "transpose", "functions"):
         getattr(loaded, f"harness_{name_of}").restype = None
     submit, wait = _pool()
     return Library(
@@ -84,6 +85,7 @@ def opened(file: Path, name: str, build_seconds: float) -> Library:
         load_seconds=time.perf_counter() - start,
         pack=loaded.harness_pack,
         network=loaded.harness_network,
+        couplings=loaded.harness_couplings,
         flow=loaded.harness_flow,
         transpose=loaded.harness_transpose,
         functions=loaded.harness_functions,

@@ -5,35 +5,32 @@
 // Every output is bias + sum over inputs in order, by fused multiply-adds: the same bits whatever
 // the width, the block or the number of threads.
 
+#include "couplings.h"
 #include "flow_job.h"
 #include "network.h"
-#include "splines.h"
 #include "transpose.h"
 
 namespace {
-
-constexpr int CHUNK = 8;  // blocks in a task of the thread pool
 
 struct Job {
     const Network *net;
     uint32_t rows;
     Columns in;
     float *const *out;
-    int widest, use;
+    int widest;
 };
 
 // Blocks [first, last) of a job.
 void work(const Job &job, uint32_t first, uint32_t last) {
     const Network &net = *job.net;
-    const int in = net.columns + extra_columns(job.use);
-    const int numbers = net.layer[net.layers - 1].outputs, out = result_columns(job.use, numbers);
-    const size_t floats = size_t(in + net.encoded + 2 * job.widest + numbers + out) * BLOCK;
+    const int in = net.columns, out = net.layer[net.layers - 1].outputs;
+    const size_t floats = size_t(in + net.encoded + 2 * job.widest + out) * BLOCK;
     float *scratch = new float[floats + 16];
     float *copied = aligned(scratch);
     float *encoded = copied + in * BLOCK, *hidden = encoded + net.encoded * BLOCK;
-    float *raw_out = hidden + 2 * job.widest * BLOCK, *kept = raw_out + numbers * BLOCK;
+    float *kept = hidden + 2 * job.widest * BLOCK;
     const float *x[4096], *raw[4096];
-    float *y[4096], *to[4096];
+    float *to[4096];
     repeat(job.in, in, copied);
     for (uint32_t block = first; block < last; block++) {
         const size_t start = size_t(block) * BLOCK;
@@ -46,14 +43,10 @@ void work(const Job &job, uint32_t first, uint32_t last) {
             for (int i = 0; i < net.encoded; i++) x[i] = encoded + i * BLOCK;
         }
         for (int j = 0; j < out; j++) to[j] = count < BLOCK ? kept + j * BLOCK : job.out[j] + start;
-        for (int j = 0; j < numbers; j++)
-            y[j] = job.use == OUTPUTS_THEMSELVES ? to[j] : raw_out + j * BLOCK;
         if (net.activation == SILU)
-            layers<SILU>(net, x, y, hidden, job.widest);
+            layers<SILU>(net, x, to, hidden, job.widest);
         else
-            layers<RELU>(net, x, y, hidden, job.widest);
-        if (job.use != OUTPUTS_THEMSELVES && job.use != NOTHING)
-            splines(job.use, raw_out, (numbers + 1) / 3, raw + net.columns, to);
+            layers<RELU>(net, x, to, hidden, job.widest);
         if (count < BLOCK)
             for (int j = 0; j < out; j++) memcpy(job.out[j] + start, to[j], count * sizeof(float));
     }
@@ -88,13 +81,13 @@ void harness_pack(const float *weights, int32_t inputs, int32_t outputs, int32_t
     }
 }
 
-// The network over `rows` rows, and what its outputs are used for; `submit` and `wait` are the thread pool's (null: in this thread).
+// The network over `rows` rows; `submit` and `wait` are the thread pool's (null: in this thread).
 void harness_network(const Network *net, uint32_t rows, const float *const *in, const uint8_t *wide,
-                     float *const *out, int32_t use, Submit submit, Wait wait) {
+                     float *const *out, Submit submit, Wait wait) {
     int widest = 1;
     for (int i = 0; i + 1 < net->layers; i++)
         if (net->layer[i].outputs > widest) widest = net->layer[i].outputs;
-    Job job{net, rows, {in, wide}, out, widest, use};
+    Job job{net, rows, {in, wide}, out, widest};
     const uint32_t blocks = (rows + BLOCK - 1) / BLOCK, tasks = (blocks + CHUNK - 1) / CHUNK;
     if (!submit || tasks < 2) {
         work(job, 0, blocks);
@@ -103,6 +96,19 @@ void harness_network(const Network *net, uint32_t rows, const float *const *in, 
     Job *payload = &job;
     void *made = submit(nullptr, nullptr, 0, tasks, task, &payload, sizeof(payload), nullptr, 1, 0);
     wait(made);
+}
+
+// Spline couplings over `rows` rows. Columns in: the condition's, then as coupled_columns says; out: coupled_results.
+void harness_couplings(const Couplings *couplings, uint32_t rows, const float *const *in, const uint8_t *wide,
+                       float *const *out, int32_t direction, int32_t splines, Submit submit, Wait wait) {
+    CouplingJob job{couplings, rows, {in, wide}, out, direction, splines != 0};
+    const uint32_t blocks = (rows + BLOCK - 1) / BLOCK, tasks = (blocks + CHUNK - 1) / CHUNK;
+    if (!submit || tasks < 2) {
+        couple_blocks(job, 0, blocks);
+        return;
+    }
+    CouplingJob *payload = &job;
+    wait(submit(nullptr, nullptr, 0, tasks, couplings_task, &payload, sizeof(payload), nullptr, 1, 0));
 }
 
 // A flow's steps over `rows` rows. Columns in: the condition's, x and y, and `active` (0 or not; if there is one).

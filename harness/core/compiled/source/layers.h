@@ -37,12 +37,14 @@ INLINE int group_size(int outputs, int group, int most = OUTPUTS) {
     return outputs / n + (group < outputs % n);
 }
 
+// Sums begin at the biases, or where `sums` is not null at its columns.
 template <int J, int ACTIVATION, bool LAST>
 INLINE void rows(const float *const *x, int inputs, int row, const float *weights, const float *biases,
-                 float *const *y, float slope) {
+                 const float *const *sums, float *const *y, float slope) {
     Floats sum[J][PACKETS];
     for (int j = 0; j < J; j++)
-        for (int r = 0; r < PACKETS; r++) sum[j][r] = all(biases[j]);
+        for (int r = 0; r < PACKETS; r++)
+            sum[j][r] = sums ? load(sums[j] + row + r * WIDTH) : all(biases[j]);
     for (int k = 0; k < inputs; k++) {
         Floats v[PACKETS];
         for (int r = 0; r < PACKETS; r++) v[r] = load(x[k] + row + r * WIDTH);
@@ -57,24 +59,26 @@ INLINE void rows(const float *const *x, int inputs, int row, const float *weight
 }
 
 template <int J, int ACTIVATION, bool LAST>
-void group(const float *const *x, int inputs, const float *weights, const float *biases, float *const *y,
-           float slope) {
+void group(const float *const *x, int inputs, const float *weights, const float *biases,
+           const float *const *sums, float *const *y, float slope) {
     for (int row = 0; row < BLOCK; row += PACKETS * WIDTH)
-        rows<J, ACTIVATION, LAST>(x, inputs, row, weights, biases, y, slope);
+        rows<J, ACTIVATION, LAST>(x, inputs, row, weights, biases, sums, y, slope);
 }
 
 template <int ACTIVATION, bool LAST>
-void layer(const Layer &l, const float *const *x, float *const *y, float slope) {
+void layer(const Layer &l, const float *const *x, float *const *y, float slope,
+           const float *const *sums = nullptr) {
     const float *weights = l.weights, *biases = l.biases;
     for (int g = 0, n = groups(l.outputs); g < n; g++) {
         int size = group_size(l.outputs, g);
         switch (size) {
-#define CASE(J) case J: if (J <= OUTPUTS) group<(J <= OUTPUTS ? J : 1), ACTIVATION, LAST>(x, l.inputs, weights, biases, y, slope); break;
+#define CASE(J) case J: if (J <= OUTPUTS) group<(J <= OUTPUTS ? J : 1), ACTIVATION, LAST>(x, l.inputs, weights, biases, sums, y, slope); break;
             CASE(1) CASE(2) CASE(3) CASE(4) CASE(5) CASE(6) CASE(7) CASE(8)
 #undef CASE
         }
         weights += size * l.inputs;
         biases += size;
+        if (sums) sums += size;
         y += size;
     }
 }

@@ -8,6 +8,8 @@ namespace {
 
 constexpr float FARTHEST = 16777216.0f;  // 2^24: beyond it neighbouring floats have no phase
 
+constexpr int CHUNK = 8;  // blocks in a task of the thread pool
+
 enum Encoding { SCALED = 0, WAVES = 1 };
 
 // What a column becomes: at `place` (v - mean) * scale, or v with its sines and cosines at

@@ -103,6 +103,13 @@ INLINE Floats power_and_rest(Floats v, Floats &rest) {
     return power_of_two(__builtin_convertvector(n, Ints));
 }
 
+// e^v to 1 ulp for v <= 0; what would be a denormal number is less than 1e-37.
+INLINE Floats exponential_below_one(Floats v) {
+    const Floats low = all(-87.0f);
+    Floats rest, power = power_and_rest(low > v ? low : v, rest);
+    return power + power * rest;
+}
+
 // Between bounds beyond which the functions below do not change any more; a nan stays one.
 INLINE Floats between(Floats v, float bound) {
     Floats x = v < -bound ? all(-bound) : v;
