@@ -40,13 +40,17 @@ struct Tile {
     float x[TILE], y[TILE], det[TILE];
     Matrix whole[TILE];
     float found[TILE];
+
+    INLINE void all(Rows &rows) const {
+        rows.clear();
+        for (int i = 0; i < count; i++) rows.add(row[i], x[i], y[i]);
+    }
 };
 
 void forward(const Flow &flow, const float *shared, Tile &tile, Rows &rows, float *scratch) {
     const float h = 1.0f / float(flow.steps);
     for (int k = 0; k < flow.steps; k++) {
-        rows.clear();
-        for (int i = 0; i < tile.count; i++) rows.add(tile.row[i], tile.x[i], tile.y[i]);
+        tile.all(rows);
         pass<true>(flow.velocity, shared, float(k) * h, rows, scratch);
         for (int i = 0; i < tile.count; i++) {
             const Matrix m = step_matrix(rows, i, h), w = tile.whole[i];
@@ -62,8 +66,7 @@ void forward(const Flow &flow, const float *shared, Tile &tile, Rows &rows, floa
 void endpoint(const Flow &flow, const float *shared, Tile &tile, Rows &rows, float *scratch) {
     const float h = 1.0f / float(flow.steps);
     for (int k = 0; k < flow.steps; k++) {
-        rows.clear();
-        for (int i = 0; i < tile.count; i++) rows.add(tile.row[i], tile.x[i], tile.y[i]);
+        tile.all(rows);
         pass<false>(flow.velocity, shared, float(k) * h, rows, scratch);
         for (int i = 0; i < tile.count; i++) {
             tile.x[i] = fused(h, rows.u[i], tile.x[i]);
@@ -76,8 +79,7 @@ void endpoint(const Flow &flow, const float *shared, Tile &tile, Rows &rows, flo
 void backward(const Flow &flow, const float *shared, Tile &tile, Rows &rows, float *scratch) {
     const float h = 1.0f / float(flow.steps);
     for (int k = flow.steps; k > 0; k--) {
-        rows.clear();
-        for (int i = 0; i < tile.count; i++) rows.add(tile.row[i], tile.x[i], tile.y[i]);
+        tile.all(rows);
         pass<true>(flow.velocity, shared, float(k) * h, rows, scratch);
         for (int i = 0; i < tile.count; i++) {
             tile.x[i] = fused(-h, rows.u[i], tile.x[i]);

@@ -67,31 +67,10 @@ INLINE Floats nearest(Floats v) {
 
 INLINE Floats power_of_two(Ints n) { return (Floats)((n + 127) << 23); }
 
-// e^v to 1 ulp or two; denormal results and infinity in two steps of the exponent.
-INLINE Floats exponential(Floats v) {
-    const Floats low = all(-104.0f), high = all(89.0f);
-    // Beyond these bounds the result is 0 or infinite anyway; a nan stays one.
-    Floats x = v < low ? low : v;
-    x = x > high ? high : x;
-    Floats n = nearest(x * 1.44269504f);
-    Floats r = x - n * 0.693145752f;  // 15 bits: exact products
-    r = r - n * 1.42860677e-6f;
-    Floats p = all(1.0f / 5040);
-    p = p * r + 1.0f / 720;
-    p = p * r + 1.0f / 120;
-    p = p * r + 1.0f / 24;
-    p = p * r + 1.0f / 6;
-    p = p * r + 0.5f;
-    p = p * r * r + r + 1.0f;
-    Ints k = __builtin_convertvector(n, Ints);
-    Ints half = k >> 1;
-    return p * power_of_two(half) * power_of_two(k - half);
-}
-
-// 2^n and e^r - 1, of which e^v = 2^n e^r; |v| <= 87, so that 2^n is a normal number.
-INLINE Floats power_and_rest(Floats v, Floats &rest) {
+// 2^n and e^r - 1, of which e^v = 2^n e^r and |r| <= log(2) / 2.
+INLINE Floats whole_and_rest(Floats v, Floats &rest) {
     Floats n = nearest(v * 1.44269504f);
-    Floats r = v - n * 0.693145752f;
+    Floats r = v - n * 0.693145752f;  // 15 bits: exact products
     r = r - n * 1.42860677e-6f;
     Floats p = all(1.0f / 5040);
     p = p * r + 1.0f / 720;
@@ -100,7 +79,24 @@ INLINE Floats power_and_rest(Floats v, Floats &rest) {
     p = p * r + 1.0f / 6;
     p = p * r + 0.5f;
     rest = p * r * r + r;
-    return power_of_two(__builtin_convertvector(n, Ints));
+    return n;
+}
+
+// e^v to 1 ulp or two; denormal results and infinity in two steps of the exponent.
+INLINE Floats exponential(Floats v) {
+    const Floats low = all(-104.0f), high = all(89.0f);
+    // Beyond these bounds the result is 0 or infinite anyway; a nan stays one.
+    Floats x = v < low ? low : v;
+    x = x > high ? high : x;
+    Floats rest, n = whole_and_rest(x, rest);
+    Ints k = __builtin_convertvector(n, Ints);
+    Ints half = k >> 1;
+    return (rest + 1.0f) * power_of_two(half) * power_of_two(k - half);
+}
+
+// The same with 2^n as it is; |v| <= 87, so that it is a normal number.
+INLINE Floats power_and_rest(Floats v, Floats &rest) {
+    return power_of_two(__builtin_convertvector(whole_and_rest(v, rest), Ints));
 }
 
 // e^v to 1 ulp for v <= 0; what would be a denormal number is less than 1e-37.
