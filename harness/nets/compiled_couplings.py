@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 import ctypes
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import drjit as dr
 import numpy as np
 
-from harness.core.columns.bridge import Columns, Float
-from harness.core.compiled import history
+from harness.core.columns.bridge import Columns
 from harness.core.compiled.library import Library
-from harness.core.compiled.memory import addresses, empty
-from harness.nets.compiled_network import Layer, Network, encoding, pack, pointers
+from harness.nets.compiled_call import Call
+from harness.nets.compiled_network import Layer, Network, encoding, pack
 from harness.nets.encoding import Encoded
 
 _TO_BASE, _DRAW = range(2)
@@ -78,16 +77,7 @@ class PackedCouplings:
         return self._run(encoded, _DRAW, [*at, dr.select(keep, type(at[0])(1), 0), *kept])
 
     def _run(self, encoded: Encoded, direction: int, extra: Columns) -> Columns:
-        raw = [*encoded.raw, *extra]
-        rows = max(dr.width(column) for column in raw)
-        array: type[Float] = type(raw[-1])
-        count = _RESULTS[direction]
-        if rows == 0:
-            return [array() for _ in range(count)]
-        # Copies: what a caller holds stays as it is, a literal a literal.
-        raw = [array(column) for column in raw]
-        out = empty(array, rows, count)
-        places = addresses([*raw, *out])
+        call = Call.of([*encoded.raw, *extra], _RESULTS[direction])
         inputs = encoding(encoded)
         condition = Network(
             len(encoded.raw), encoded.width, 0, 0, 0.0, encoded.as_it_is,
@@ -101,24 +91,20 @@ class PackedCouplings:
             len(self.numbers.networks), self._width, self._rest, self.numbers.bins,
             self.numbers.square, self.numbers.slope,
         )  # fmt: skip
-        wide = (ctypes.c_uint8 * len(raw))(*(dr.width(column) != 1 for column in raw))
-        columns = pointers(places[: len(raw)]), wide, pointers(places[len(raw) :])
 
-        def work(splines: bool, kept: Any = (raw, out, inputs, condition, waves)) -> None:
+        def work(
+            *pool: ctypes.c_void_p, splines: bool = True, kept: Any = (inputs, condition, waves)
+        ) -> None:
             self.library.couplings(
                 ctypes.byref(couplings),
-                ctypes.c_uint32(rows),
-                *columns,
+                ctypes.c_uint32(call.rows),
+                call.inputs,
+                call.wide,
+                call.outputs,
                 ctypes.c_int32(direction),
                 ctypes.c_int32(splines),
-                ctypes.c_void_p(self.library.submit),
-                ctypes.c_void_p(self.library.wait),
+                *pool,
             )
 
-        start = time.perf_counter()
-        work(True)
-        if history.wanted():
-            seconds = time.perf_counter() - start
-            what = f"{self.name}, {_NAMES[direction]}"
-            history.add(history.Run(what, rows, seconds, True, lambda: work(False)))
-        return out
+        what = f"{self.name}, {_NAMES[direction]}"
+        return call.run(self.library, what, work, partial(work, splines=False))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ctypes
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -11,11 +10,10 @@ from typing import Any
 import drjit as dr
 import numpy as np
 
-from harness.core.columns.bridge import Columns, Float
-from harness.core.compiled import history
+from harness.core.columns.bridge import Columns
 from harness.core.compiled.library import Library
-from harness.core.compiled.memory import addresses, empty
-from harness.nets.compiled_network import ACTIVATIONS, Layer, Network, encoding, pack, pointers
+from harness.nets.compiled_call import Call
+from harness.nets.compiled_network import ACTIVATIONS, Layer, Network, encoding, pack
 from harness.nets.encoding import Encoded
 
 FORWARD, ENDPOINT, BACKWARD, INVERSE = range(4)
@@ -82,42 +80,24 @@ class PackedFlow:
         FORWARD the derivatives by x and by y, for INVERSE 1 where the start was found, else 0.
         """
         extra = list(x) if active is None else [*x, dr.select(active, type(x[0])(1), 0)]
-        raw = [*encoded.raw, *extra]
-        rows = max(dr.width(column) for column in raw)
-        array: type[Float] = type(x[0])
-        count = _OUTPUTS[way]
-        if rows == 0:
-            return [array() for _ in range(count)]
-        # Copies: what a caller holds stays as it is, a literal a literal.
-        raw = [array(column) for column in raw]
-        out = empty(array, rows, count)
-        places = addresses([*raw, *out])
+        call = Call.of([*encoded.raw, *extra], _OUTPUTS[way])
         inputs = encoding(encoded)
         condition = Network(
             len(encoded.raw), encoded.width, 1, 0, 0.0, encoded.as_it_is,
             ctypes.addressof(inputs), ctypes.addressof(self._condition),
         )  # fmt: skip
         flow = _Flow(ctypes.addressof(condition), self._velocity, steps)
-        wide = (ctypes.c_uint8 * len(raw))(*(dr.width(column) != 1 for column in raw))
-        columns = pointers(places[: len(raw)]), wide
-        to = pointers(places[len(raw) :])
 
-        def work(kept: Any = (raw, out, inputs, condition)) -> None:
+        def work(*pool: ctypes.c_void_p, kept: Any = (inputs, condition)) -> None:
             self.library.flow(
                 ctypes.byref(flow),
-                ctypes.c_uint32(rows),
-                *columns,
+                ctypes.c_uint32(call.rows),
+                call.inputs,
+                call.wide,
                 ctypes.c_int32(active is not None),
-                to,
+                call.outputs,
                 ctypes.c_int32(way),
-                ctypes.c_void_p(self.library.submit),
-                ctypes.c_void_p(self.library.wait),
+                *pool,
             )
 
-        start = time.perf_counter()
-        work()
-        if history.wanted():
-            seconds = time.perf_counter() - start
-            what = f"{self.name}, {steps} steps {_NAMES[way]}"
-            history.add(history.Run(what, rows, seconds, False, work))
-        return out
+        return call.run(self.library, f"{self.name}, {steps} steps {_NAMES[way]}", work)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ctypes
-import time
 from collections.abc import Sequence
 from typing import Any
 
@@ -11,9 +10,8 @@ import drjit as dr
 import numpy as np
 
 from harness.core.columns.bridge import Columns, Float
-from harness.core.compiled import history
 from harness.core.compiled.library import Library, found
-from harness.core.compiled.memory import addresses, empty
+from harness.nets.compiled_call import Call
 from harness.nets.encoding import Encoded
 
 MOST, MOST_BINS = 4096, 512
@@ -93,40 +91,24 @@ class Packed:
 
     def __call__(self, x: Encoded) -> Columns:
         """The network's outputs; computed when it returns."""
-        raw = x.raw
-        rows = max(dr.width(column) for column in raw)
-        array = type(raw[-1])
-        if rows == 0:
-            return [array() for _ in range(self.outputs)]
-        # Copies: what a caller holds stays as it is, a literal a literal.
-        raw = [array(column) for column in raw]
-        out = empty(array, rows, self.outputs)
-        # All that this reads is computed before, in one kernel of Dr.Jit's if it can be.
-        places = addresses([*raw, *out])
+        call = Call.of(x.raw, self.outputs)
         inputs = self._inputs(x)
         network = Network(
             len(x.raw), x.width, len(self.layers), self.activation, self.slope, x.as_it_is,
             ctypes.addressof(inputs), ctypes.addressof(self.layers),
         )  # fmt: skip
-        wide = (ctypes.c_uint8 * len(raw))(*(dr.width(column) != 1 for column in raw))
-        columns = pointers(places[: len(raw)]), wide, pointers(places[len(raw) :])
 
-        def work(kept: Any = (raw, out, inputs)) -> None:
+        def work(*pool: ctypes.c_void_p) -> None:
             self.library.network(
                 ctypes.byref(network),
-                ctypes.c_uint32(rows),
-                *columns,
-                ctypes.c_void_p(self.library.submit),
-                ctypes.c_void_p(self.library.wait),
+                ctypes.c_uint32(call.rows),
+                call.inputs,
+                call.wide,
+                call.outputs,
+                *pool,
             )
 
-        start = time.perf_counter()
-        work()
-        if history.wanted():
-            seconds = time.perf_counter() - start
-            # The columns live as long as somebody may run it again.
-            history.add(history.Run(self.name, rows, seconds, False, work))
-        return out
+        return call.run(self.library, self.name, work)
 
     def _inputs(self, x: Encoded) -> ctypes.Array:
         """How each raw column is encoded; made again where that changes."""
@@ -173,8 +155,3 @@ def encoding(x: Encoded) -> ctypes.Array:
 
 def _at(numbers: np.ndarray) -> ctypes.c_void_p:
     return ctypes.c_void_p(numbers.ctypes.data)
-
-
-def pointers(places: list[int]) -> ctypes.Array:
-    """An array of addresses."""
-    return (ctypes.c_void_p * len(places))(*places)
