@@ -41,6 +41,8 @@ def register(app: typer.Typer) -> None:
                 f"{len(plan.labels(kind))} {kind}s" for kind in ("material", "method", "measure")
             )
             print(f"{loaded.path}: {profile or 'no profile'}: {len(plan.trials)} trials ({size})")
+        for line in loaded.left_out.values():
+            print(f"{loaded.path}: {line}")
         for base in dict.fromkeys(m.swept_from for m in loaded.suite.methods if m.swept_from):
             swept = [
                 m.label.removeprefix(f"{base} ")

@@ -89,6 +89,8 @@ def run(plan: Plan, results: Path, options: Options, console: Console) -> int:
                 _say(console, f"no compiled kernels ({kernels}): {library.WITHOUT}", "yellow")
             if plan.note:
                 _say(console, f"profile {plan.profile}: {plan.note}", "yellow")
+            for line in plan.left_out.values():
+                _say(console, line, "yellow")
             _explain(todo, console)
             interrupted = False
             with Progress(console, todo.trials, todo.stored, execute.slots) as progress:
@@ -180,6 +182,7 @@ def _write_plan(plan: Plan, store: ResultsFolder) -> None:
         "baseline": plan.baseline,
         "report": plan.report,
         "files": files_of(plan),
+        "left_out": plan.left_out,
         **{f"{key}s": plan.labels(key) for key in ("material", "method", "scene", "measure")},
     }
     rows = [
