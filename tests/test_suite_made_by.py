@@ -14,7 +14,7 @@ from harness.core.protocol.errors import InputError
 from harness.report.parts import part
 from harness.report.table import Table
 from harness.runner.run import Options, run
-from harness.suite.load import load
+from harness.suite.load import find, load
 from harness.suite.plan import make_plan
 from tests import fakes
 
@@ -89,3 +89,12 @@ def test_run_and_report_say_what_makes_it(tmp_path: Path):
 def test_refused(tmp_path: Path, materials: list, said: str):
     with pytest.raises(InputError, match=said):
         load(fakes.suite(tmp_path, materials=materials))
+
+
+def test_a_folder_does_not_hide_a_suite_of_its_name(tmp_path: Path, monkeypatch):
+    (tmp_path / "puresample").mkdir()
+    monkeypatch.chdir(tmp_path)
+    assert find("puresample").name == "puresample.yaml"
+    (tmp_path / "mine").mkdir()
+    with pytest.raises(InputError, match="mine: is a directory"):
+        find("mine")

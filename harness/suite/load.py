@@ -57,11 +57,11 @@ def find(name: str | Path) -> Path:
     path = Path(name)
     if path.is_file():
         return path
-    if path.is_dir():
-        raise InputError(f"{name}: is a directory; expected a suite, a .yaml file")
     bare = SUITES / f"{name}.yaml"
     if path.name == str(name) and bare.is_file():
-        return bare
+        return bare  # also where a folder has that name, such as one of files of the suite's
+    if path.is_dir():
+        raise InputError(f"{name}: is a directory; expected a suite, a .yaml file")
     beside = [item.name for item in path.parent.glob("*.yaml")] if path.suffix else []
     known = beside if path.suffix else names()
     raise InputError(f"no such suite: {name}{nearest(path.name, known)}")
