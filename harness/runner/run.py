@@ -34,6 +34,7 @@ from harness.store.folder import ResultsFolder
 from harness.store.lock import locked
 from harness.store.mend import mend
 from harness.store.stored import DAMAGED
+from harness.suite import made_by
 from harness.suite.named import files_of
 from harness.suite.plan import Plan
 from harness.suite.trials import FIT, Trial
@@ -89,7 +90,7 @@ def run(plan: Plan, results: Path, options: Options, console: Console) -> int:
                 _say(console, f"no compiled kernels ({kernels}): {library.WITHOUT}", "yellow")
             if plan.note:
                 _say(console, f"profile {plan.profile}: {plan.note}", "yellow")
-            for line in plan.left_out.values():
+            for line in made_by.lines(plan.left_out):
                 _say(console, line, "yellow")
             _explain(todo, console)
             interrupted = False

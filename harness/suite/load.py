@@ -32,7 +32,7 @@ FILE_KEYS = ("file", "filename", "environment")
 class Loaded:
     """A valid suite, where it came from and its text.
 
-    ``left_out`` says of each material whose file a command has yet to make what that command is.
+    ``left_out`` are materials whose file is not there: by name, the command that makes it.
     """
 
     suite: Suite

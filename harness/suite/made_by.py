@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +15,7 @@ KEY = "made_by"
 
 
 def sorted_out(materials: Any, locate: Callable[[str], str]) -> tuple[Any, dict[str, str]]:
-    """``materials`` without those whose file is to be made, and a line for each of these by name.
+    """``materials`` without those whose file is to be made, and the command for each of these.
 
     What stays loses the key. ``locate`` makes a path that a suite names absolute.
 
@@ -24,7 +24,7 @@ def sorted_out(materials: Any, locate: Callable[[str], str]) -> tuple[Any, dict[
     """
     if not isinstance(materials, list):
         return materials, {}
-    kept, lines = [], {}
+    kept, commands = [], {}
     for index, entry in enumerate(materials):
         if not isinstance(entry, dict) or KEY not in entry:
             kept.append(entry)
@@ -33,10 +33,15 @@ def sorted_out(materials: Any, locate: Callable[[str], str]) -> tuple[Any, dict[
         if Path(locate(file)).exists():
             kept.append({key: value for key, value in entry.items() if key != KEY})
         else:
-            lines[name] = f"'{name}' is left out, for it is not made yet: {command}"
-    if lines and not kept:
-        raise InputError(f"materials: none is there: {'; '.join(lines.values())}")
-    return kept, lines
+            commands[name] = command
+    if commands and not kept:
+        raise InputError(f"materials: none is there: {'; '.join(lines(commands))}")
+    return kept, commands
+
+
+def lines(commands: Mapping[str, str]) -> list[str]:
+    """What is to be said of the materials that these make."""
+    return [f"'{name}' is left out, not made yet: {made_by}" for name, made_by in commands.items()]
 
 
 def _checked(entry: dict[str, Any], where: str) -> tuple[str, ...]:

@@ -45,7 +45,7 @@ class Plan:
     note: str = ""
     """What is to be said of all its numbers."""
     left_out: dict[str, str] = field(default_factory=dict)
-    """A line for each material of the suite whose file is yet to be made, by name."""
+    """Commands that make materials of the suite whose file is not there, by name."""
     resolved: Resolved = field(default_factory=Resolved, compare=False, repr=False)
 
     def baseline_of(self, trial: Trial) -> Trial:
