@@ -24,6 +24,7 @@ def register(app: typer.Typer) -> None:
         """
         from harness.core.protocol.errors import Mistakes
         from harness.runner import preflight, rehearsal
+        from harness.suite import made_by
         from harness.suite.load import load
         from harness.suite.plan import make_plan
 
@@ -41,6 +42,8 @@ def register(app: typer.Typer) -> None:
                 f"{len(plan.labels(kind))} {kind}s" for kind in ("material", "method", "measure")
             )
             print(f"{loaded.path}: {profile or 'no profile'}: {len(plan.trials)} trials ({size})")
+        for line in made_by.lines(loaded.left_out):
+            print(f"{loaded.path}: {line}")
         for base in dict.fromkeys(m.swept_from for m in loaded.suite.methods if m.swept_from):
             swept = [
                 m.label.removeprefix(f"{base} ")

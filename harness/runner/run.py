@@ -34,6 +34,7 @@ from harness.store.folder import ResultsFolder
 from harness.store.lock import locked
 from harness.store.mend import mend
 from harness.store.stored import DAMAGED
+from harness.suite import made_by
 from harness.suite.named import files_of
 from harness.suite.plan import Plan
 from harness.suite.trials import FIT, Trial
@@ -89,6 +90,8 @@ def run(plan: Plan, results: Path, options: Options, console: Console) -> int:
                 _say(console, f"no compiled kernels ({kernels}): {library.WITHOUT}", "yellow")
             if plan.note:
                 _say(console, f"profile {plan.profile}: {plan.note}", "yellow")
+            for line in made_by.lines(plan.left_out):
+                _say(console, line, "yellow")
             _explain(todo, console)
             interrupted = False
             with Progress(console, todo.trials, todo.stored, execute.slots) as progress:
@@ -180,6 +183,7 @@ def _write_plan(plan: Plan, store: ResultsFolder) -> None:
         "baseline": plan.baseline,
         "report": plan.report,
         "files": files_of(plan),
+        "left_out": plan.left_out,
         **{f"{key}s": plan.labels(key) for key in ("material", "method", "scene", "measure")},
     }
     rows = [

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +17,7 @@ from harness.core.protocol.errors import InputError, Mistakes, nearest
 from harness.core.refusal import refusals
 from harness.core.text import printable
 from harness.core.yamlfile import parse_yaml, read_text, read_yaml
+from harness.suite.made_by import sorted_out
 from harness.suite.material_folders import spread
 from harness.suite.schema import MethodSpec, NamedSpec, Suite
 from harness.suite.sweep import expand
@@ -29,11 +30,15 @@ FILE_KEYS = ("file", "filename", "environment")
 
 @dataclass(frozen=True)
 class Loaded:
-    """A valid suite, where it came from and its text."""
+    """A valid suite, where it came from and its text.
+
+    ``left_out`` are materials whose file is not there: by name, the command that makes it.
+    """
 
     suite: Suite
     path: Path
     text: str
+    left_out: dict[str, str] = field(default_factory=dict)
 
 
 def names() -> list[str]:
@@ -52,11 +57,11 @@ def find(name: str | Path) -> Path:
     path = Path(name)
     if path.is_file():
         return path
-    if path.is_dir():
-        raise InputError(f"{name}: is a directory; expected a suite, a .yaml file")
     bare = SUITES / f"{name}.yaml"
     if path.name == str(name) and bare.is_file():
-        return bare
+        return bare  # also where a folder has that name, such as one of files of the suite's
+    if path.is_dir():
+        raise InputError(f"{name}: is a directory; expected a suite, a .yaml file")
     beside = [item.name for item in path.parent.glob("*.yaml")] if path.suffix else []
     known = beside if path.suffix else names()
     raise InputError(f"no such suite: {name}{nearest(path.name, known)}")
@@ -97,7 +102,8 @@ def _checked(data: Any, path: Path, text: str, tuned: bool) -> Loaded:
     if not isinstance(data, dict):
         raise InputError(f"{path}: expected a mapping with the keys name, materials, methods, ...")
     try:
-        data["materials"] = spread(data.get("materials"), lambda f: _absolute(f, path.parent))
+        named = spread(data.get("materials"), lambda f: _absolute(f, path.parent))
+        data["materials"], left_out = sorted_out(named, lambda f: _absolute(f, path.parent))
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
     for key in LISTS:
@@ -128,13 +134,16 @@ def _checked(data: Any, path: Path, text: str, tuned: bool) -> Loaded:
         _noted(mistakes, lambda i=index, m=method: _label(i, m, path.parent))
     if not mistakes:
         extra = path.parent / suite.tuned if tuned and suite.tuned else None
-        _noted(mistakes, lambda: _finish(suite, extra))
+        _noted(mistakes, lambda: _finish(suite, extra, left_out))
     if mistakes:
         raise Mistakes(f"{path}: {line}" for line in mistakes)
-    return Loaded(suite, path, text)
+    return Loaded(suite, path, text, left_out)
 
 
-def _finish(suite: Suite, tuned: Path | None) -> None:
+def _finish(suite: Suite, tuned: Path | None, left_out: Iterable[str]) -> None:
+    for part in [*suite.measures, *suite.profiles.values()]:
+        if part.materials is not None:
+            part.materials = [name for name in part.materials if name not in left_out]
     if tuned is not None:
         suite.methods = with_tuned(suite.methods, tuned)
     suite.methods = expand(suite.methods)

@@ -44,6 +44,8 @@ class Plan:
     """The suite as the user named it."""
     note: str = ""
     """What is to be said of all its numbers."""
+    left_out: dict[str, str] = field(default_factory=dict)
+    """Commands that make materials of the suite whose file is not there, by name."""
     resolved: Resolved = field(default_factory=Resolved, compare=False, repr=False)
 
     def baseline_of(self, trial: Trial) -> Trial:
@@ -92,6 +94,7 @@ def make_plan(
             text=loaded.text,
             where=str(loaded.path),
             note=said,
+            left_out=loaded.left_out,
             resolved=expansion.resolved,
         )
     except InputError as error:
@@ -190,6 +193,8 @@ class _Expansion:
             self.profile.training_seeds or self.suite.training_seeds,
         )
         chosen = _chosen(self.suite.materials, self.profile.materials)
+        if not chosen:
+            raise InputError(f"profiles.{self.profile_name}.materials: none of them is made yet")
         scenes = _chosen(self.suite.scenes, self.profile.scenes)
         each = sum(len(scenes) if kind.needs_scene else 1 for kind in self.kinds.values())
         count = len(chosen) * len(pairs) * len(self.methods) * each

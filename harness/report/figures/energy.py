@@ -32,7 +32,7 @@ def energy(results: Results, canvas: Canvas) -> list[Drawn] | str:
             x = (i % _COLUMNS) / columns
             y = 1 - (i // _COLUMNS + 1) / rows
             panel = figure.add_axes(
-                (x + 0.18 / columns, y + 0.24 / rows, 0.76 / columns, 0.62 / rows)
+                (x + 0.24 / columns, y + 0.24 / rows, 0.72 / columns, 0.62 / rows)
             )
             _panel(panel, raw, material)
         return [

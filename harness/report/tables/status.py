@@ -1,4 +1,5 @@
-"""The trials that gave no number, and why; what methods did that they should not."""
+"""The trials that gave no number, and why; what methods did that they should not; materials that
+have yet to be made."""
 
 from __future__ import annotations
 
@@ -27,6 +28,15 @@ def status(results: Results) -> Table | str:
     for (method, state, reason), members in alike.items():
         words = (method, _places(members, results), state, reason)
         rows.append(Row(_materials(members, results), [Cell(text=word) for word in words]))
+    for name, command in (results.plan.get("left_out") or {}).items():
+        if name in results.plan.get("materials", ()):
+            continue  # merged with results that have it
+        rows.append(
+            Row(
+                name,
+                [Cell(text=word) for word in (" ", " ", "left out", f"not made yet: {command}")],
+            )
+        )
     trials = results.frame["trial"].nunique()
     counts = failed.loc[~waiting, "status"].value_counts().to_dict()
     said = [f"{trials} trials planned", f"{trials - len(failed)} ok"]

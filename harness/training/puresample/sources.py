@@ -22,6 +22,9 @@ from harness.microgeometry.walks.kernel import Counts, Exits
 from harness.microgeometry.walks.surface import WALKED
 from harness.training.puresample.normal_mapped import KEYS, NormalMapped
 
+FAMILIES = descriptions.DESCRIPTIONS / "walks"
+"""Descriptions that are only walked on: families, and what the paper's Figures 6 to 8 are after."""
+
 
 class FamilyWalks:
     """A family of random walks with all its parameters fixed, as a source of particles.
@@ -76,7 +79,7 @@ def load(name: str | Path) -> Any:
     Raises:
         InputError: one line that names the file and what was expected.
     """
-    file = descriptions.find(name)
+    file = _find(name)
     data = read_yaml(file, "a description in YAML") if file.suffix == ".yaml" else None
     if not isinstance(data, Mapping) or "family" not in data:
         return surfaces.load(file)
@@ -86,6 +89,12 @@ def load(name: str | Path) -> Any:
         return _family(spec, about)
     except InputError as error:
         raise InputError(f"{file}: {error}") from None
+
+
+def _find(name: str | Path) -> Path:
+    """The file; a bare name may be one of the families' too, which are in a folder of their own."""
+    own = FAMILIES / f"{name}.yaml"
+    return own if Path(name).name == str(name) and own.is_file() else descriptions.find(name)
 
 
 def _family(spec: Mapping[str, Any], about: str) -> FamilyWalks | NormalMapped:
