@@ -18,9 +18,15 @@ LONGEST = """
 """Files by how long they take: they are begun first, so that no process waits for the last."""
 
 
-def pytest_xdist_auto_num_workers() -> int:
-    """One more than cores: some tests wait for processes of their own, or for a limit of time."""
-    return (os.cpu_count() or 1) + 1
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_auto_num_workers() -> int | None:
+    """One more than cores: some tests wait for processes of their own, or for a limit of time.
+
+    None where the environment says how many, which is for pytest-xdist to read.
+    """
+    if "PYTEST_XDIST_AUTO_NUM_WORKERS" in os.environ:
+        return None
+    return len(os.sched_getaffinity(0)) + 1
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

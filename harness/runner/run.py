@@ -104,6 +104,8 @@ def run(
                 _say(console, line, "yellow")
             _explain(todo, console)
             interrupted = False
+            if todo.trials:
+                console.record = False  # a line that is drawn anew ten times a second
             elsewhere, ready = _known(todo, options.refit)
             with Progress(
                 *(console, todo.trials, todo.stored, execute.slots, elsewhere, ready)
