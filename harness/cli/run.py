@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import Annotated
 
@@ -58,7 +57,7 @@ def register(app: typer.Typer) -> None:
         from harness.runner.settled import Settled
 
         asked = [profile, only, scheduler, workers, trial_seconds, trial_memory, retry, refit]
-        command = {"run": [*asked, executor, dry_run, device, sys.stdout.isatty()]}
+        command = {"run": [*asked, executor, dry_run, device]}
         settled = Settled(command, suite, out)
         if executor == "dask":
             settled.never()  # where workers are elsewhere

@@ -72,7 +72,7 @@ def run_and_report(
 
     console, idle = Screen(highlight=False, record=True), list[bool]()
     status = run(plan, results, options, console, lambda: idle.append(True))
-    text = console.export_text(styles=console.is_terminal) if idle else ""
+    text = console.export_text() if idle else ""
     if status == INTERRUPTED:
         return status
     allowed = {key: sorted(labels) for key, labels in parse(options.only, plan).allowed.items()}
