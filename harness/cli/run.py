@@ -59,8 +59,8 @@ def register(app: typer.Typer) -> None:
         asked = [profile, only, scheduler, workers, trial_seconds, trial_memory, retry, refit]
         command = {"run": [*asked, executor, dry_run, device]}
         settled = Settled(command, suite, out)
-        if executor == "dask":
-            settled.never()  # where workers are elsewhere
+        if executor == "dask" or device != "cpu":
+            settled.never()  # workers elsewhere, or a GPU, are not looked at
         if said := settled.said():
             print(said["text"], end="", flush=True)
             if not dry_run:
