@@ -99,7 +99,7 @@ def test_how_long_kept_fits_took_is_known(tmp_path: Path, folder: Path):
     with ResultsFolder(tmp_path / "one") as store:
         known = known_seconds.of([], store.trials())
     assert known[FIT, "with-state"] == pytest.approx(sum(took) / len(took))
-    assert {measure for measure, _ in known} == {"fit", "probe"}
+    assert {measure for measure, _ in known} == {*plan.labels("measure")}
 
 
 def test_a_fit_of_anything_else_is_run(tmp_path: Path, folder: Path):
