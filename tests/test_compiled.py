@@ -114,8 +114,8 @@ def test_wider_registers_than_this_processors_give_the_same_bits(tmp_path, monke
         "wide", base.machines, base.needs, (*options, "-DWIDTH=16", "-DPACKETS=4", "-DOUTPUTS=4")
     )
     usual = library.found()
-    # A third of the time to compile.
-    monkeypatch.setattr(build, "OPTIONS", tuple(o.replace("-O3", "-O1") for o in build.OPTIONS))
+    # Half the time to compile.
+    monkeypatch.setattr(build, "OPTIONS", tuple(o.replace("-O3", "-O2") for o in build.OPTIONS))
     other = library.opened(build.library(target, tmp_path), target.name, 0.0)
     network, x = net([9, 33, 7], "silu"), Encoded.plain(columns_of(rand(500, 9)))
     found = tensor_of(*network.compiled(usual)(x), rows=500)
