@@ -6,8 +6,8 @@ import drjit as dr
 
 from harness.core.columns.bridge import Columns, Float
 from harness.core.columns.method import ColumnMethod
-from harness.core.protocol.errors import Unsupported
 from harness.core.protocol.material import Material
+from harness.core.protocol.method import refuse_unsupported
 
 
 class Native(ColumnMethod):
@@ -34,9 +34,7 @@ class Native(ColumnMethod):
 
     def bind(self, material: Material) -> None:
         """See :meth:`Method.bind`; refuses a material without a sampler."""
-        able, reason = self.supports(material)
-        if not able:
-            raise Unsupported(reason)
+        refuse_unsupported(self, material)
         super().bind(material)
 
     def sample_columns(self, c: Columns, u: Columns) -> tuple[Float, Float, Float]:

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from harness.core.columns.bridge import Columns, Float
 from harness.core.columns.method import ColumnMethod
-from harness.core.protocol.errors import InputError, Unsupported, nearest
+from harness.core.protocol.errors import InputError, nearest
 from harness.core.protocol.material import Material
+from harness.core.protocol.method import refuse_unsupported
 
 CHANNELS = ("highest", "mixture")
 
@@ -38,9 +39,7 @@ class PureSample(ColumnMethod):
 
     def bind(self, material: Material) -> None:
         """See :meth:`Method.bind`; refuses a material of another kind."""
-        able, reason = self.supports(material)
-        if not able:
-            raise Unsupported(reason)
+        refuse_unsupported(self, material)
         super().bind(material)
 
     def sample_columns(self, c: Columns, u: Columns) -> tuple[Float, Float, Float]:

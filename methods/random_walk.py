@@ -6,8 +6,8 @@ from typing import Any
 
 from harness.core.columns.bridge import Columns, Float
 from harness.core.columns.method import ColumnMethod
-from harness.core.protocol.errors import Unsupported
 from harness.core.protocol.material import Material
+from harness.core.protocol.method import refuse_unsupported
 
 
 class RandomWalk(ColumnMethod):
@@ -35,9 +35,7 @@ class RandomWalk(ColumnMethod):
 
     def bind(self, material: Material) -> None:
         """See :meth:`Method.bind`; refuses a material without walks."""
-        able, reason = self.supports(material)
-        if not able:
-            raise Unsupported(reason)
+        refuse_unsupported(self, material)
         super().bind(material)
 
     def sample_weighted_columns(self, c: Columns, u: Columns) -> tuple[Float, Float, Float, Any]:

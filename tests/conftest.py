@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import os
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -17,6 +18,17 @@ LONGEST = """
 """Files by how long they take: they are begun first, so that no process waits for the last."""
 
 
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_auto_num_workers() -> int | None:
+    """One more than cores: some tests wait for processes of their own, or for a limit of time.
+
+    None where the environment says how many, which is for pytest-xdist to read.
+    """
+    if "PYTEST_XDIST_AUTO_NUM_WORKERS" in os.environ:
+        return None
+    return len(os.sched_getaffinity(0)) + 1
+
+
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """The longest files first; tests of a file stay together and in order."""
     order = {f"test_{name}": place for place, name in enumerate(LONGEST)}
@@ -27,6 +39,25 @@ def pytest_collection_finish() -> None:
     """What was imported and collected stays: the collector of garbage need not look at it again."""
     gc.collect()
     gc.freeze()
+
+
+@pytest.fixture(scope="session", autouse=True)
+def in_this_process() -> None:
+    """Runs carry out their trials here: worker processes have to import everything first.
+
+    And they plan anew, whatever was found before: code may be replaced by a test.
+    """
+    from harness.runner import executor, settled
+
+    executor.default, settled.enabled = executor.INLINE, False
+
+
+@pytest.fixture
+def worker_processes(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Runs of the test have worker processes, as they have outside of tests."""
+    from harness.runner import executor
+
+    monkeypatch.setattr(executor, "default", executor.LOCAL)
 
 
 @pytest.fixture(autouse=True)

@@ -115,7 +115,9 @@ def test_omp_policy_is_set_before_torch():
     assert done.stdout.strip() == "PASSIVE"
 
 
-def test_the_whole_chain(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+def test_the_whole_chain(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], worker_processes: None
+):
     """The smoke suite from YAML to the table, on real materials and methods."""
     out = tmp_path / "smoke"
     assert main(["validate", "smoke"]) == 0

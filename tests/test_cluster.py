@@ -34,7 +34,9 @@ TIMED = {
 
 
 @pytest.fixture(autouse=True)
-def of_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+def of_its_own(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, worker_processes: None
+) -> Iterator[None]:
     """No other run on this machine is waited for; workers find these modules."""
     monkeypatch.setenv("TMPDIR", str(tmp_path))
     monkeypatch.setenv("PYTHONPATH", str(ROOT))

@@ -5,9 +5,11 @@ from __future__ import annotations
 import ast
 import os
 import re
+import runpy
 import subprocess
 import sys
 from pathlib import Path
+from types import ModuleType
 
 import pytest
 
@@ -28,16 +30,27 @@ def test_there_are_some():
     assert len(SCRIPTS) >= 4 and NOTEBOOKS
 
 
-DEAR = ("in_a_mitsuba_script", "run_a_suite", "sample_pdf_eval")
+def written(file: Path, folder: Path) -> None:
+    """The files that a script says it writes are there."""
+    for name in re.findall(r"writes ([\w.]+\w)", ast.get_docstring(ast.parse(file.read_text()))):
+        assert (folder / name).stat().st_size > 500, name
 
 
-@pytest.mark.parametrize(
-    "file",
-    [
-        pytest.param(file, id=file.stem, marks=[pytest.mark.slow] if file.stem in DEAR else [])
-        for file in SCRIPTS
-    ],
-)
+def test_a_script_in_this_process(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
+    mi = pytest.importorskip("mitsuba")
+    file = EXAMPLES / "own_method.py"
+    monkeypatch.chdir(tmp_path)
+    runpy.run_path(str(file), run_name="__main__")
+    mi.Thread.wait_for_tasks()  # pictures are written meanwhile; the end of a process waits, too
+    said = capsys.readouterr().out
+    assert said.strip() and "nan" not in said
+    written(file, tmp_path)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("file", SCRIPTS, ids=lambda file: file.stem)
 def test_a_script(file: Path, tmp_path: Path):
     done = subprocess.run(
         [sys.executable, str(file)],
@@ -49,18 +62,43 @@ def test_a_script(file: Path, tmp_path: Path):
     )
     assert done.returncode == 0, done.stderr
     assert done.stdout.strip() and "nan" not in done.stdout
-    for name in re.findall(r"writes ([\w.]+\w)", ast.get_docstring(ast.parse(file.read_text()))):
-        assert (tmp_path / name).stat().st_size > 500, name
+    written(file, tmp_path)
 
 
+@pytest.mark.parametrize("file", NOTEBOOKS, ids=lambda file: file.stem)
+def test_cells_of_a_notebook_in_this_process(
+    file: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+):
+    """Its cells one after the other, as a kernel runs them, which takes ten seconds to start."""
+    import matplotlib.pyplot as plt
+
+    nbformat = pytest.importorskip("nbformat")
+    book = nbformat.read(file, as_version=4)
+    nbformat.validate(book)
+    assert not any(cell.get("outputs") for cell in book.cells), "no results are kept"
+    plt.switch_backend("agg")
+    main = ModuleType("__main__")
+    monkeypatch.setitem(sys.modules, "__main__", main)
+    monkeypatch.chdir(tmp_path)
+    for cell in book.cells:
+        if cell.cell_type == "code":
+            exec(compile(cell.source, file.name, "exec"), vars(main))
+    assert plt.get_fignums(), "a picture is drawn"
+    plt.close("all")
+    said = capsys.readouterr().out
+    assert said.strip() and "nan" not in said
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("file", NOTEBOOKS, ids=lambda file: file.stem)
 def test_a_notebook(file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     nbformat = pytest.importorskip("nbformat")
     client = pytest.importorskip("nbclient")
     monkeypatch.setenv("PYTHONPATH", environment()["PYTHONPATH"])
     book = nbformat.read(file, as_version=4)
-    nbformat.validate(book)
-    assert not any(cell.get("outputs") for cell in book.cells), "no results are kept"
     client.NotebookClient(book, timeout=300, resources={"metadata": {"path": tmp_path}}).execute()
     kinds = {o.output_type for cell in book.cells for o in cell.get("outputs", ())}
     assert kinds >= {"display_data", "stream"}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 
 import numpy as np
@@ -376,7 +377,8 @@ def test_fit_learns_and_state_is_the_networks_alone(name, loss):
     budget = Budget(steps=60, conditions=64, directions=64, resolution=32, pool=256)
 
     def new():
-        return Histogram(loss=loss) if name == "histogram" else HistogramMixture(loss=loss)
+        kind = Histogram if name == "histogram" else functools.partial(HistogramMixture, levels=20)
+        return kind(loss=loss)
 
     method = new()
     report = method.fit(material, budget, torch.Generator().manual_seed(0))

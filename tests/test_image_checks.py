@@ -130,7 +130,9 @@ sampler of materials learned from walks those alone, see test_puresample; the pu
 baking is biased and says so."""
 
 
-DEAR = ("importance-baked", "flow-matching", "histogram-mixture", "neural-spline-flow", "realnvp")
+DEAR = """
+    importance-baked flow-matching histogram-mixture neural-spline-flow realnvp reparameterised
+""".split()
 """Samplers whose kernels or fits take long."""
 
 

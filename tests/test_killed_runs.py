@@ -85,6 +85,8 @@ def stored(out: Path) -> int:
 
 
 @pytest.mark.slow
-def test_fifty_kills_lose_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_fifty_kills_lose_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, worker_processes: None
+) -> None:
     monkeypatch.setenv("TMPDIR", str(tmp_path))
     killed_and_resumed(tmp_path, kills=50, seeds=TRIALS // len(MATERIALS) // len(METHODS) // 3)

@@ -28,7 +28,7 @@ UNFITTED = {
     *("flow-matching-fu2024", "puresample"),
 }
 WITHOUT = {"cosine", "native", "random-walk", "puresample"}
-BUDGET = Budget(steps=40, conditions=64, directions=32, resolution=32, pool=256)
+BUDGET = Budget(steps=12, conditions=64, directions=32, resolution=32, pool=256)
 TILTED = MATERIALS["tilted"]()
 
 
@@ -98,7 +98,7 @@ SLOW_KNOBS = [
 )
 def test_every_setting_is_a_correct_sampler(name, knob, value):
     """At both ends of every knob samples follow the pdf, and it integrates to the valid share."""
-    method = fitted(name, replace(BUDGET, steps=12), **{**SMALL.get(name, {}), knob: value})
+    method = fitted(name, BUDGET, **{**SMALL.get(name, {}), knob: value})
     row = TILTED.conditions(1, generator(1))[0]
     n = 1 << 15
     test, integral, valid = compare(method, row, n, generator(2))
@@ -293,7 +293,9 @@ def test_two_lobes_are_laid_out_as_ever():
 def test_bfloat16_halves_the_weights(name):
     """Rounded after fitting, stored in two bytes, restored bit for bit."""
     params = SMALL.get(name, {})
-    short, long = fitted(name, precision="bfloat16", **params), fitted(name, **params)
+    few = replace(BUDGET, steps=4)
+    short = fitted(name, few, precision="bfloat16", **params)
+    long = fitted(name, few, **params)
     weights = sum(p.numel() for p in short.module.parameters())
     assert long.size_bytes() - short.size_bytes() == 2 * weights
     for p, q in zip(short.module.parameters(), long.module.parameters(), strict=True):

@@ -24,6 +24,7 @@ NAMES = [name for name in registry.names() if registry.load(name).exact_pdf]
 """Of the others the pdf is an approximation: see test_random_walk and test_importance_baked."""
 PARAMETERS = {
     "tabulated": {"resolution": 8},
+    "histogram-mixture": {"levels": 20},
     "importance-baked": {"resolution": 8, "slices": 16},
     "flow-matching": {"width": 16, "layers": 2, "steps": 4},
 }
@@ -41,6 +42,8 @@ cases = pytest.mark.parametrize(
     ids=[f"{k}-{'fitted' if f else 'untrained'}" for k, f in CASES],
 )
 DIRECTIONS = {"steep": (0.3, -0.2), "grazing": (-0.1, 0.97)}
+FOLLOWED = [("tilted", "steep"), ("mitsuba", "grazing")]
+"""Each direction on one material; the other two are slow."""
 followed = pytest.mark.parametrize(
     ("kind", "fitted", "wi"),
     [
@@ -48,14 +51,13 @@ followed = pytest.mark.parametrize(
             *(kind, fit, wi),
             id=f"{kind}-{'fitted' if fit else 'untrained'}-{name}",
             marks=pytest.mark.slow
-            if (kind, fit) in SLOW_CASES or (kind, name) == ("mitsuba", "steep")
+            if (kind, fit) in SLOW_CASES or (kind, name) not in FOLLOWED
             else (),
         )
         for kind, fit in CASES
         for name, wi in DIRECTIONS.items()
     ],
 )
-"""At grazing directions, where most goes wrong; steep ones of one material alone."""
 small = pytest.mark.parametrize(("kind", "fitted"), SMALL, ids=[k for k, _ in SMALL])
 
 
@@ -280,7 +282,9 @@ def tilted_rows(draw) -> tuple[Tensor, Tensor]:
 
 
 @each
-@pytest.mark.parametrize("fitted", [False, True], ids=["untrained", "fitted"])
+@pytest.mark.parametrize(
+    "fitted", [pytest.param(False, marks=pytest.mark.slow), True], ids=["untrained", "fitted"]
+)
 def test_any_row(name, fitted):
     """Whatever the condition and the uniforms: finite, consistent, and the input unharmed."""
     method = ready(name, "tilted", fitted)

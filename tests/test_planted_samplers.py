@@ -81,9 +81,9 @@ def test_a_small_loss_of_energy_is_found(scene: str, share: float) -> None:
 
 
 def test_a_loss_of_energy_is_found() -> None:
-    """Rendered until the test finds 3 %, which is less than a sampler loses of 4 %."""
-    given = {"detect": 0.03, "resolution": 16, "reference_spp": 256}
-    lossy = values(equal_spp(Lossy(0.04), PLASTER, "uniform-sphere", **given))
+    """Rendered until the test finds 5 %, which is less than a sampler loses of 7 %."""
+    given = {"detect": 0.05, "resolution": 16, "reference_spp": 256}
+    lossy = values(equal_spp(Lossy(0.07), PLASTER, "uniform-sphere", **given))
     assert lossy["first-bias-p"] < 1e-3 and lossy["bias-p"] < 1e-3
 
 

@@ -252,7 +252,9 @@ class Late(Dies):
 
 
 @pytest.mark.slow
-def test_every_repeat_is_a_process(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_every_repeat_is_a_process(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, worker_processes: None
+) -> None:
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))  # not to wait for others' timings
     (tmp_path / "adapters.py").write_text(ADAPTER)
     suite = {

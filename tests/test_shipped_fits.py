@@ -15,7 +15,7 @@ from harness.analysis.results import Results
 from harness.analysis.status import counted
 from harness.analysis.validity import Changed, changed, said_of_earlier
 from harness.core.protocol.errors import InputError
-from harness.runner import shipped
+from harness.runner import known_seconds, shipped
 from harness.runner.run import Options, run
 from harness.store.folder import ResultsFolder
 from harness.store.stored import Stored
@@ -87,6 +87,19 @@ def test_a_run_takes_the_stored_fit_with_its_record(tmp_path: Path, folder: Path
         for out in ("one", "two")
     ]
     assert weights[0] == weights[1]
+
+
+def test_how_long_kept_fits_took_is_known(tmp_path: Path, folder: Path):
+    """Of a method by its label, whatever the material, seed or budget was."""
+    first, plan = go(tmp_path, "one")
+    keep(tmp_path, "one", plan, folder)
+    took = [fit.seconds for fit in first.values()]
+    assert sorted(shipped.seconds("with-state", folder)) == sorted(took)
+    assert shipped.seconds("state", folder) == []
+    with ResultsFolder(tmp_path / "one") as store:
+        known = known_seconds.of([], store.trials())
+    assert known[FIT, "with-state"] == pytest.approx(sum(took) / len(took))
+    assert {measure for measure, _ in known} == {*plan.labels("measure")}
 
 
 def test_a_fit_of_anything_else_is_run(tmp_path: Path, folder: Path):

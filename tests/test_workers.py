@@ -37,12 +37,12 @@ from tests.bad_adapters import BAD, SHORT, Bad
 
 ROOT = Path(__file__).resolve().parents[1]
 MEMORY = 2.5 * 2**30
-LIMITS, HANGING = Limits(120.0, MEMORY), Limits(2.5, MEMORY)
+LIMITS, HANGING = Limits(120.0, MEMORY), Limits(1.0, MEMORY)
 """Of trials that end, which take a tenth of a second, and of those that do not."""
 
 
 @pytest.fixture(autouse=True)
-def of_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def of_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, worker_processes: None) -> None:
     """No other run on this machine is waited for."""
     monkeypatch.setenv("TMPDIR", str(tmp_path))
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -10,6 +11,7 @@ import typer
 
 if TYPE_CHECKING:
     from harness.runner.run import Options
+    from harness.runner.settled import Settled
     from harness.suite.load import Loaded
     from harness.suite.plan import Plan
 
@@ -36,7 +38,11 @@ def failed_again(retry: str | None) -> bool:
 
 
 def planned(
-    loaded: Loaded, profile: str | None, device: str, on: dict[str, Any] | None = None
+    loaded: Loaded,
+    profile: str | None,
+    device: str,
+    on: dict[str, Any] | None = None,
+    settled: Settled | None = None,
 ) -> Plan:
     """The suite's trials, on a machine that can run them; times are of the machine ``on``, by
     default of this one."""
@@ -48,22 +54,42 @@ def planned(
     for said in dict.fromkeys(map(shipped.damaged, plan.trials)):
         if said:
             print(said, file=sys.stderr, flush=True)
+            if settled is not None:
+                settled.never()
     return plan
 
 
-def run_and_report(plan: Plan, results: Path, options: Options) -> int:
-    """Carry out what is not stored, then write the report and print its tables; the exit status."""
+def run_and_report(
+    plan: Plan, results: Path, options: Options, settled: Settled | None = None
+) -> int:
+    """Carry out what is not stored, then write the report and print its tables; the exit status.
+
+    If there was nothing to carry out, that is kept in ``settled``.
+    """
     from harness.core.terminal import Screen
+    from harness.runner.only import parse
     from harness.runner.run import INTERRUPTED, run
 
-    console = Screen(highlight=False)
-    status = run(plan, results, options, console)
-    if not options.dry_run and status != INTERRUPTED:
-        from harness.report import write as reports
-        from harness.runner.only import parse
-
-        loaded = reports.load(results)
-        files = loaded.write()
-        loaded.of_part(parse(options.only, plan).allowed).print(console)
-        console.print(f"report: {files[0]}", soft_wrap=True)
+    console, idle = Screen(highlight=False, record=True), list[bool]()
+    status = run(plan, results, options, console, lambda: idle.append(True))
+    text = console.export_text() if idle else ""
+    if status == INTERRUPTED:
+        return status
+    allowed = {key: sorted(labels) for key, labels in parse(options.only, plan).allowed.items()}
+    if not options.dry_run:
+        report(results, allowed)
+    if settled is not None and idle and status == 0:
+        settled.keep({"text": text, "allowed": allowed})
     return status
+
+
+def report(results: Path, allowed: Mapping[str, Collection[str]]) -> None:
+    """Write the report, and print the part of it with these labels by column."""
+    from harness.core.terminal import Screen
+    from harness.report import write as reports
+
+    console = Screen(highlight=False)
+    loaded = reports.load(results)
+    files = loaded.write()
+    loaded.of_part(allowed).print(console)
+    console.print(f"report: {files[0]}", soft_wrap=True)

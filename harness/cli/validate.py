@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from pathlib import Path
 
 import typer
 
@@ -22,6 +23,15 @@ def register(app: typer.Typer) -> None:
         What the suite describes itself is built once and rendered in 8 x 8 pixels. All mistakes
         are listed.
         """
+        from harness.runner.settled import Settled
+
+        settled = Settled({"validate": device}, suite, Path("nowhere"))
+        if device != "cpu":
+            settled.never()  # a GPU is not looked at
+        if said := settled.said():
+            print(said["text"])
+            return
+
         from harness.core.protocol.errors import Mistakes
         from harness.runner import preflight, rehearsal
         from harness.suite import made_by
@@ -36,18 +46,22 @@ def register(app: typer.Typer) -> None:
             for line in error.lines:
                 print(f"error: {line}", file=sys.stderr)
             raise typer.Exit(2) from None
+        lines = []
         for profile in loaded.suite.profiles or (None,):
             plan = make_plan(loaded, profile, device)
             size = " x ".join(
                 f"{len(plan.labels(kind))} {kind}s" for kind in ("material", "method", "measure")
             )
-            print(f"{loaded.path}: {profile or 'no profile'}: {len(plan.trials)} trials ({size})")
-        for line in made_by.lines(loaded.left_out):
-            print(f"{loaded.path}: {line}")
+            lines.append(
+                f"{loaded.path}: {profile or 'no profile'}: {len(plan.trials)} trials ({size})"
+            )
+        lines += [f"{loaded.path}: {line}" for line in made_by.lines(loaded.left_out)]
         for base in dict.fromkeys(m.swept_from for m in loaded.suite.methods if m.swept_from):
             swept = [
                 m.label.removeprefix(f"{base} ")
                 for m in loaded.suite.methods
                 if m.swept_from == base
             ]
-            print(f"{loaded.path}: {base} sweeps {', '.join(swept)}")
+            lines.append(f"{loaded.path}: {base} sweeps {', '.join(swept)}")
+        print("\n".join(lines))
+        settled.keep({"text": "\n".join(lines)})

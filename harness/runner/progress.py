@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Mapping
+from statistics import mean
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, SpinnerColumn, TextColumn
@@ -26,9 +27,11 @@ _FEW = 4
 class Pace:
     """Time left, from what trials of the same measure took, in this run or an earlier one.
 
-    Of the same method if there were any, for methods differ by a hundred times. For a measure that
-    was not seen yet nothing is made up: then it is said to be more. ``slots`` trials that are not
-    timed run side by side. What a run takes beside its trials (workers that start, probes) is taken
+    Of the same method if there were any, for methods differ by a hundred times; else what it took
+    ``elsewhere`` (:mod:`harness.runner.known_seconds`), by how much faster or slower this run is.
+    A method that nothing is known of is taken to be like the others in the measure, a measure that
+    was not seen yet as nothing: then it is said to be more. ``slots`` trials that are not timed run
+    side by side. What a run takes beside its trials (workers that start, probes) is taken
     to go on as it did so far.
     """
 
@@ -38,7 +41,9 @@ class Pace:
         stored: dict[str, Stored],
         slots: int = 1,
         clock: Callable[[], float] = time.monotonic,
+        elsewhere: Mapping[tuple[str, str], float] | None = None,
     ):
+        self.elsewhere = elsewhere or {}
         self.slots, self.clock, self.began = slots, clock, clock()
         self.timed = {t.measure for t in todo if t.timed}
         self.worked: list[float] = []
@@ -69,7 +74,8 @@ class Pace:
         seconds = self.seconds()
         if not seconds:
             return ""
-        whole = len(self._known()) == sum(count > 0 for count in self.left.values())
+        left = (key for key, count in self.left.items() if count)
+        whole = all(key in self.spent or key in self.elsewhere for key in left)
         return f"{'about' if whole else 'more than'} {duration(seconds)} left"
 
     def _known(self) -> dict[tuple[str, str], float]:
@@ -90,21 +96,38 @@ class Pace:
 
     def _usual(self, key: tuple[str, str]) -> float:
         """Mean seconds of the method in the measure, or of all methods in it; 0 if none was."""
+        if key not in self.spent and key in self.elsewhere:
+            return self.elsewhere[key] * self._speed()
         own = self.spent.get(key, [])
         spent = own or [s for (m, _), every in self.spent.items() if m == key[0] for s in every]
-        return sum(spent) / len(spent) if spent else 0.0
+        return mean(spent) if spent else 0.0
+
+    def _speed(self) -> float:
+        """Seconds of trials here over those elsewhere, of all that is known of both; else 1."""
+        both = [key for key in self.spent if key in self.elsewhere]
+        there = sum(self.elsewhere[key] for key in both)
+        return sum(mean(self.spent[key]) for key in both) / there if there else 1.0
 
 
 class Progress:
     """Progress of a run on ``console``; use it as a context manager."""
 
     def __init__(
-        self, console: Console, todo: list[Trial], stored: dict[str, Stored], slots: int = 1
+        self,
+        console: Console,
+        todo: list[Trial],
+        stored: dict[str, Stored],
+        slots: int = 1,
+        elsewhere: Mapping[tuple[str, str], float] | None = None,
+        ready: Collection[str] = (),
     ):
+        """``ready``: keys of the fits that are not run, since they come with the harness."""
         self.console, self.total, self.done = console, len(todo), 0
+        self.ready = ready
         self.running: set[str] = set()
         self.failed = 0
-        self.pace = Pace(todo, stored, slots)
+        work = [trial for trial in todo if trial.hash not in ready]
+        self.pace = Pace(work, stored, slots, elsewhere=elsewhere)
         self.quiet_since = time.monotonic()
         self.text = ""
         self.bar: Bar | None = None
@@ -148,7 +171,8 @@ class Progress:
     def finish(self, trial: Trial, outcome: Outcome, seconds: float) -> None:
         """One trial is stored."""
         self.done = min(self.total, self.done + 1)
-        self.pace.finish(trial, seconds)
+        if trial.hash not in self.ready:
+            self.pace.finish(trial, seconds)
         failed = outcome.status in FAILED
         self.failed += failed
         self.running.discard(trial.hash)

@@ -18,8 +18,8 @@ from harness.core.protocol.errors import InputError
 from harness.identity.verdict import WORDS
 from harness.measures.base import FAILED
 from harness.runner import executor as executors
+from harness.runner import known_seconds, preflight, shipped
 from harness.runner import only as only_option
-from harness.runner import preflight
 from harness.runner.driver import Driver
 from harness.runner.executor import Executor
 from harness.runner.limits import Limits
@@ -60,8 +60,17 @@ class Options:
     limits: Limits = field(default_factory=Limits)
 
 
-def run(plan: Plan, results: Path, options: Options, console: Console) -> int:
-    """Carry out what is missing; returns the exit status. Reports nothing but itself."""
+def run(
+    plan: Plan,
+    results: Path,
+    options: Options,
+    console: Console,
+    idle: Callable[[], None] = lambda: None,
+) -> int:
+    """Carry out what is missing; returns the exit status. Reports nothing but itself.
+
+    ``idle`` is called if there was nothing to carry out.
+    """
     if isinstance(options.executor, str):
         executors.check(options.executor)
     only = only_option.parse(options.only, plan)
@@ -72,8 +81,9 @@ def run(plan: Plan, results: Path, options: Options, console: Console) -> int:
                 todo = _todo(plan, store, only, options, None)
         else:
             todo = make_todo(plan, {}, Validity(plan, {}), only)
-        _list(plan, todo, console)
+        _list(plan, todo, options.refit, console)
         _explain(todo, console)
+        idle()
         return 0
     with locked(results):
         mend(results, lambda text: _say(console, text, "yellow"))
@@ -94,7 +104,12 @@ def run(plan: Plan, results: Path, options: Options, console: Console) -> int:
                 _say(console, line, "yellow")
             _explain(todo, console)
             interrupted = False
-            with Progress(console, todo.trials, todo.stored, execute.slots) as progress:
+            if todo.trials:
+                console.record = False  # a line that is drawn anew ten times a second
+            elsewhere, ready = _known(todo, options.refit)
+            with Progress(
+                *(console, todo.trials, todo.stored, execute.slots, elsewhere, ready)
+            ) as progress:
                 said.note = progress.note
                 validity = Validity(plan, todo.stored)
                 driver = Driver(
@@ -121,6 +136,8 @@ def run(plan: Plan, results: Path, options: Options, console: Console) -> int:
                 "yellow",
             )
             return INTERRUPTED
+    if not todo.trials:
+        idle()
     return _sum_up(todo, console)
 
 
@@ -226,12 +243,21 @@ def _counted(todo: Todo) -> str:
     return text + (f", {more} more if a fit comes out different" if more else "")
 
 
-def _list(plan: Plan, todo: Todo, console: Console) -> None:
+def _list(plan: Plan, todo: Todo, refit: bool, console: Console) -> None:
     if todo.trials:
         # All at once: a table of a thousand trials takes a second line by line.
         _say(console, "\n".join(f"{trial.hash}  {trial}" for trial in todo.trials))
-    left = str(Pace(todo.trials, todo.stored))
+    elsewhere, ready = _known(todo, refit)
+    work = [trial for trial in todo.trials if trial.hash not in ready]
+    left = str(Pace(work, todo.stored, elsewhere=elsewhere))
     _say(console, f"{plan.suite}: {_counted(todo)}{', ' + left if left else ''}; nothing was run")
+
+
+def _known(todo: Todo, refit: bool) -> tuple[dict[known_seconds.Key, float], set[str]]:
+    """What is known of how long trials take, and the fits that take no time."""
+    ready = set() if refit else {trial.hash for trial in todo.trials if shipped.find(trial)}
+    work = (trial for trial in todo.trials if trial.hash not in ready)
+    return known_seconds.of(work, todo.seen), ready
 
 
 def _sum_up(todo: Todo, console: Console) -> int:

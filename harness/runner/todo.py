@@ -57,6 +57,8 @@ class Todo:
     doubtful: frozenset[str] = frozenset()
     equivalent: dict[str, Verdict] = field(default_factory=dict)
     unprobed: dict[tuple[str, str], str] = field(default_factory=dict)
+    seen: dict[str, Stored] = field(default_factory=dict)
+    """All planned trials that are stored, whether their numbers hold or not."""
 
     @property
     def trials(self) -> list[Trial]:
@@ -119,7 +121,7 @@ def make_todo(
             units[material] = unit
     names = frozenset(trial.hash for trial in doubtful)
     equivalent = {h: v for h, v in verdicts.items() if v.state == "equivalent"}
-    return Todo(list(units.values()), selected, present, stale, names, equivalent)
+    return Todo(list(units.values()), selected, present, stale, names, equivalent, seen=stored)
 
 
 def needed_fits(plan: Plan, trial: Trial) -> list[str]:

@@ -26,6 +26,11 @@ class Texts:
         self._connection = connection
         self._known: dict[str, Any] = {}
         self._bad: dict[str, str] = {}
+        self._read: dict[str, Any] = {}
+
+    def read_all(self) -> None:
+        """Read all at once, which is faster than one by one where most will be asked for."""
+        self._read = dict(self._connection.execute("SELECT digest, body FROM text"))
 
     def put(self, data: Mapping[str, Any]) -> dict[str, str]:
         """The values of ``data`` as digests; call it inside a transaction."""
@@ -51,16 +56,19 @@ class Texts:
             if kept in self._bad:
                 raise ValueError(self._bad[kept])
             if kept not in self._known:
-                row = self._connection.execute(
-                    "SELECT body FROM text WHERE digest = ?", (kept,)
-                ).fetchone()
                 try:
-                    self._known[kept] = _text_of(row[0] if row else None, kept)
+                    self._known[kept] = _text_of(self._body(kept), kept)
                 except ValueError as error:
                     # It is asked for by many trials, and may take long to be found bad.
                     self._bad[kept] = str(error)
                     raise
         return {key: self._known[kept] for key, kept in data.items()}
+
+    def _body(self, kept: str) -> Any:
+        if kept in self._read:
+            return self._read.pop(kept)
+        row = self._connection.execute("SELECT body FROM text WHERE digest = ?", (kept,)).fetchone()
+        return row[0] if row else None
 
 
 def _text_of(body: Any, kept: str) -> Any:
@@ -108,14 +116,16 @@ def stored_of(
         for name in _SHARED:
             if name in data:
                 data[name] = texts.get(data[name])
-        data["records"] = [_record(record) for record in data.get("records", ())]
+        data["records"] = [_numbered(record) for record in data.get("records", ())]
         return Stored(key, folder=reader.args[0], reader=reader, **{"reason": "", **data})
     except (ValueError, TypeError, KeyError) as error:
         reason = f"the stored trial {key} is damaged: {error}; harness run measures it again"
         return Stored(key, {}, dict.fromkeys(LABELS, ""), DAMAGED, reason)
 
 
-def _record(record: dict[str, Any]) -> dict[str, Any]:
-    """Its numbers as numbers: those that are not finite are stored as text."""
-    value, low, high = record["value"], record["ci_low"], record["ci_high"]
-    return {**record, "value": float(value), "ci_low": float(low), "ci_high": float(high)}
+def _numbered(record: dict[str, Any]) -> dict[str, Any]:
+    """With its numbers as numbers: those that are not finite are stored as text."""
+    for key in ("value", "ci_low", "ci_high"):
+        if type(record[key]) is not float:
+            record[key] = float(record[key])
+    return record

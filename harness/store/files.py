@@ -6,6 +6,7 @@ import hashlib
 import os
 import re
 from collections.abc import Iterable
+from functools import lru_cache
 from pathlib import Path
 
 from harness.core.protocol.errors import InputError
@@ -50,7 +51,12 @@ def put(path: Path, data: bytes) -> None:
 
 def place(results: Path, name: str, digest: str) -> Path:
     """Where a file is kept."""
-    return results / FOLDER / f"{digest}{Path(name).suffix}"
+    return results / FOLDER / f"{digest}{_suffix(name)}"
+
+
+@lru_cache(maxsize=256)
+def _suffix(name: str) -> str:
+    return Path(name).suffix
 
 
 def checked(results: Path, name: str, digest: str) -> Path:
@@ -60,7 +66,7 @@ def checked(results: Path, name: str, digest: str) -> Path:
         DamagedFile: it is missing or its content changed.
     """
     path = place(results, name, digest)
-    if not path.is_file():
+    if not os.path.isfile(path):
         raise DamagedFile(f"{path}: is missing; harness run makes it again")
     if digest_of(path) != digest:
         raise DamagedFile(f"{path}: does not match its checksum; harness run makes it again")

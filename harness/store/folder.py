@@ -234,6 +234,8 @@ class ResultsFolder:
         with explained(self.folder):
             rows = self.run(f"SELECT trial, checksum, body FROM trial{place}", *asked).fetchall()
             reader = partial(_arrays_of, self.folder)
+            if not one_by_one:
+                self._texts.read_all()
             return {
                 key: stored_of(reader, self._texts, key, checksum, self._unpacked(body))
                 for key, checksum, body in rows

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from harness.core.protocol.disk import inside_disk
-from harness.core.protocol.errors import BudgetExceeded
+from harness.core.protocol.errors import BudgetExceeded, Unsupported
 from harness.core.protocol.material import Material
 
 
@@ -215,3 +215,14 @@ class Method(ABC):
     def size_bytes(self) -> int:
         """Bytes of state as stored."""
         return sum(t.numel() * t.element_size() for t in self.state_dict().values())
+
+
+def refuse_unsupported(method: Method, material: Material) -> None:
+    """For the ``bind`` of a method that :meth:`Method.supports` some materials only.
+
+    Raises:
+        Unsupported: this one it does not, with the reason.
+    """
+    able, reason = method.supports(material)
+    if not able:
+        raise Unsupported(reason)
