@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Sequence
 from typing import ClassVar
 
 import drjit as dr
@@ -21,8 +20,9 @@ from harness.importance_maps.database import Maps
 from harness.importance_maps.training import MapBatches
 from harness.nets import defensive, spline
 from harness.nets.coupling import CouplingNet
-from harness.nets.encoding import ConditionEncoder, Encoded
+from harness.nets.encoding import ConditionEncoder
 from harness.nets.extremes import FAR, held
+from harness.nets.spline_couplings import SplineCouplings, chord
 
 SUPERVISIONS = ("both", "likelihood", "map")
 _AREA = 4.0
@@ -38,6 +38,8 @@ class MonotoneMap(nn.Module):
         encoded, numbers = self.encoder.width, spline.outputs(bins)
         self.x_given_b = CouplingNet(encoded, width, numbers, frequencies, layers)
         self.y_given_x = CouplingNet(encoded, width, numbers, frequencies, layers)
+        # Of (y, x), to (b, a).
+        self.map = SplineCouplings([self.y_given_x, self.x_given_b], bins, square=True)
 
 
 class ImportanceBaked(BakedMethod):
@@ -193,35 +195,25 @@ class ImportanceBaked(BakedMethod):
         a, b = (dr.fma(2, v, -1) for v in u[:2])
         elsewhere = u[2] < self.uniform
         there = defensive.uniform_disk_columns(u)
-        x = dr.select(elsewhere, there[0], net.x_given_b.unwarp_columns(b, encoded, a))
-        y, *warped = net.y_given_x.draw_columns(x, encoded, b, elsewhere, there[1], _chord(x))
-        return x, y, self._density(encoded, warped, x, y)
+        (y, x), back = net.map.draw_columns([b, a], encoded, elsewhere, there[::-1])
+        return x, y, self._density(back, x, y)
 
     def pdf_columns(self, c: Columns, wo: Columns) -> Float:
         """See :meth:`ColumnMethod.pdf_columns`."""
         encoded = self.module.encoder.encoded(c)
         x, y = wo
-        warped = self.module.y_given_x.warp_columns(x, encoded, y / _chord(x))
-        return self._density(encoded, warped, x, y)
+        return self._density(self.module.map.to_base_columns([y, x], encoded), x, y)
 
-    def _density(self, encoded: Encoded, warped: Sequence[Float], x: Float, y: Float) -> Float:
-        """Density at ``(x, y)``; ``warped`` is what G makes of y over the chord, and its slope."""
-        chord = _chord(x)
-        at = y / chord
-        b, slope_b = warped
-        _, slope_a = self.module.x_given_b.warp_columns(b, encoded, x)
+    def _density(self, back: tuple[Float, Float, Float], x: Float, y: Float) -> Float:
+        """Density at ``(x, y)``; ``back`` is its (b, a), and the map's determinant."""
+        b, _, slope = back
+        at = y / chord(x, square=True)
         inside = (dr.abs(x) < 1) & (dr.abs(at) < 1)
         # A nan compares with nothing, and has to come out as one.
         there = inside | dr.isnan(x) | dr.isnan(y) | dr.isnan(b)
-        pdf = dr.select(there, slope_a * slope_b / (_AREA * chord), 0)
+        pdf = dr.select(there, slope / _AREA, 0)
         return defensive.mixed_columns(pdf, [x, y], self.uniform)
 
 
 _MAP_WEIGHT = 1.0
 """Nats per unit of the uniforms: at the start an error of the map counts as much as likelihood."""
-
-
-def _chord(x: Float) -> Float:
-    """Half the disk's height at ``x``; one where there is no disk."""
-    squared = (1 - x) * (1 + x)
-    return dr.sqrt(dr.select(squared > 0, squared, 1))

@@ -50,9 +50,11 @@ class SplineFlow(nn.Module):
         self.base = MLP([encoded, width, 5 if lambertian else 4], "leaky_relu", zero_last=True)
         with torch.no_grad():
             self.base.layers[-1].bias[2:4] = _START
-        self.couplings = SplineCouplings(
-            encoded, width, bins, frequencies, layers, couplings, square
+        self.couplings = nn.ModuleList(
+            CouplingNet(encoded, width, spline.outputs(bins), frequencies, layers)
+            for _ in range(couplings)
         )
+        self.map = SplineCouplings(self.couplings, bins, square)
 
     @property
     def x_given_y(self) -> CouplingNet:
@@ -208,13 +210,13 @@ class NeuralSplineFlow(FlowMethod):
             dr.fma(z, dr.exp(s), m)
             for z, s, m in zip(unit_normal_columns(u), log_sigma, mean, strict=True)
         ]
-        wo, back = net.couplings.draw_columns(at, encoded, elsewhere, there)
+        wo, back = net.map.draw_columns(at, encoded, elsewhere, there)
         return *wo, self._density(base, back, wo)
 
     def pdf_columns(self, c: Columns, wo: Columns) -> Float:
         """See :meth:`ColumnMethod.pdf_columns`."""
         encoded = self.module.encoder.encoded(c)
-        back = self.module.couplings.to_base_columns(wo, encoded)
+        back = self.module.map.to_base_columns(wo, encoded)
         return self._density(self._base(encoded), back, wo)
 
     def _base(self, encoded: Encoded) -> tuple[Columns, Columns, Float | float]:

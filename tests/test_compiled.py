@@ -18,6 +18,7 @@ from harness.core.protocol.errors import InputError
 from harness.nets import compiled_flow, spline
 from harness.nets.activations import ACTIVATIONS
 from harness.nets.compiled_network import MOST, MOST_BINS, MOST_ROWS, usable
+from harness.nets.coupling import CouplingNet
 from harness.nets.encoding import ConditionEncoder, Encoded
 from harness.nets.mlp import MLP
 from harness.nets.spline_couplings import SplineCouplings
@@ -226,11 +227,12 @@ def spline_couplings(
 ) -> tuple[SplineCouplings, ConditionEncoder]:
     """With weights that make steep splines."""
     part = encoder()
-    made = SplineCouplings(part.width, 16, bins, couplings=couplings, square=square)
+    nets = [CouplingNet(part.width, 16, spline.outputs(bins)) for _ in range(couplings)]
     generator = torch.Generator().manual_seed(seed)
-    for parameter in made.parameters():
-        torch.nn.init.normal_(parameter, std=size, generator=generator)
-    return made, part
+    for net in nets:
+        for parameter in net.parameters():
+            torch.nn.init.normal_(parameter, std=size, generator=generator)
+    return SplineCouplings(nets, bins, square), part
 
 
 @needs_compiler
@@ -250,7 +252,7 @@ def test_a_spline_is_torchs(bins, rows, seed, size):
     drawn, _ = made.draw_columns([y, o], seen, type(y)(0) > 1, [x, o])
     found = tensor_of(y, slope, drawn[0], rows=rows)
     with torch.no_grad():
-        raw = made[0].double()(other.double(), part.double()(c.double()))
+        raw = made.couplings[0].double()(other.double(), part.double()(c.double()))
         wanted, log_slope = spline.warp(raw, at.double())
     wanted, wanted_slope = wanted[:, 0], log_slope[:, 0].exp()
     # The outputs' own rounding, which steep splines magnify.

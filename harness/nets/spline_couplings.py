@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import chain
 from typing import Any
 
 import drjit as dr
-from torch import nn
 
 from harness.core.columns.bridge import Columns, Float
 from harness.core.compiled.library import Library
@@ -19,38 +19,25 @@ from harness.nets.encoding import Encoded
 from harness.nets.forms import Forms
 
 
-class SplineCouplings(nn.ModuleList):
-    """Coupling i warps x given y where i is even, y given x where it is odd.
+class SplineCouplings:
+    """``couplings`` in turn over columns: i warps x given y where i is even, y given x where odd.
 
-    With ``square``, x is over the chord of the disk at y, :func:`chord`. The methods here run over
-    columns; :class:`CouplingNet` gives the splines' numbers over tensors.
+    With ``square``, x is over the chord of the disk at y, :func:`chord`. All couplings have one
+    shape.
     """
 
-    def __init__(
-        self,
-        encoded: int,
-        width: int,
-        bins: int,
-        frequencies: int = 4,
-        layers: int = 2,
-        couplings: int = 2,
-        square: bool = False,
-    ):
-        numbers = spline.outputs(bins)
-        super().__init__(
-            CouplingNet(encoded, width, numbers, frequencies, layers) for _ in range(couplings)
-        )
-        self.bins, self.square = bins, square
+    def __init__(self, couplings: Sequence[CouplingNet], bins: int, square: bool):
+        self.couplings, self.bins, self.square = couplings, bins, square
         self._forms = Forms()
 
     def to_base_columns(self, wo: Columns, encoded: Encoded) -> tuple[Float, Float, Float]:
         """``(x, y, slope)``: the base's point of ``wo``, and the map's determinant there."""
         if library := self._usable(encoded, wo):
-            self._count(encoded, wo, len(self))
+            self._count(encoded, wo, len(self.couplings))
             return tuple(self._compiled(library).to_base(encoded, wo))
         x, y = wo
         width = chord(y, self.square)
-        warped = spline.warp_columns(self[0].columns(y, encoded), x / width)
+        warped = spline.warp_columns(self.couplings[0].columns(y, encoded), x / width)
         return self._onwards(y, width, encoded, warped)
 
     def draw_columns(
@@ -61,17 +48,19 @@ class SplineCouplings(nn.ModuleList):
         Beside it what :meth:`to_base_columns` has at the direction as rounded, bit for bit.
         """
         if library := self._usable(encoded, [*at, *kept]):
-            self._count(encoded, at, 2 * len(self) - 1)
+            self._count(encoded, at, 2 * len(self.couplings) - 1)
             x, y, *back = self._compiled(library).draw(encoded, at, keep, kept)
             return [x, y], tuple(back)
         at = list(at)
-        for i in range(len(self) - 1, 0, -1):
+        for i in range(len(self.couplings) - 1, 0, -1):
             own, other = i % 2, 1 - i % 2
-            at[own], _ = spline.unwarp_columns(self[i].columns(at[other], encoded), at[own])
+            at[own], _ = spline.unwarp_columns(
+                self.couplings[i].columns(at[other], encoded), at[own]
+            )
         y = dr.select(keep, kept[1], at[1])
         width = chord(y, self.square)
         # The first spline, whose network sees y alone, goes there and back.
-        numbers = self[0].columns(y, encoded)
+        numbers = self.couplings[0].columns(y, encoded)
         x = dr.select(keep, kept[0], spline.unwarp_columns(numbers, at[0])[0] * width)
         warped = spline.warp_columns(numbers, x / width)
         return [x, y], self._onwards(y, width, encoded, warped)
@@ -82,9 +71,9 @@ class SplineCouplings(nn.ModuleList):
         """Through the couplings after the first, which gave ``warped``."""
         x, slope = warped
         at = [x, y]
-        for i in range(1, len(self)):
+        for i in range(1, len(self.couplings)):
             own, other = i % 2, 1 - i % 2
-            numbers = self[i].columns(at[other], encoded)
+            numbers = self.couplings[i].columns(at[other], encoded)
             at[own], slope_own = spline.warp_columns(numbers, at[own])
             slope = slope * slope_own
         return *at, slope / width
@@ -95,21 +84,22 @@ class SplineCouplings(nn.ModuleList):
             counting.add("network", rows * networks)
 
     def _usable(self, encoded: Encoded, values: Columns) -> Library | None:
-        return usable(encoded, *values, widths=self[0].mlp.widths, bins=self.bins)
+        return usable(encoded, *values, widths=self.couplings[0].mlp.widths, bins=self.bins)
 
     def _compiled(self, library: Library) -> PackedCouplings:
         """The couplings as the compiled kernels run them."""
 
         def make(numbers: list) -> PackedCouplings:
-            each = len(numbers) // len(self)
+            each = len(numbers) // len(self.couplings)
             networks = [numbers[i : i + each] for i in range(0, len(numbers), each)]
-            first = self[0]
+            first = self.couplings[0]
             known = Numbers(
                 networks, first.waves, first.frequencies, self.bins, self.square, first.mlp.slope
             )
             return PackedCouplings(library, known)
 
-        return self._forms.of(self.parameters(), f"compiled for {library.name}", make)
+        parameters = chain.from_iterable(net.parameters() for net in self.couplings)
+        return self._forms.of(parameters, f"compiled for {library.name}", make)
 
 
 def chord(y: Float, square: bool) -> Float:
