@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from harness.analysis.results import Results
+from harness.analysis.validity import in_few_words
 from harness.stats.ztest import holm
 
 LEVEL = 0.05
@@ -51,7 +52,7 @@ def _unresolved(results: Results) -> dict[str, str]:
     rows = results.frame
     rows = rows[(rows["measure"] == MEASURE) & (rows["metric"] == "tail-resolved")]
     rows = rows[rows["value"] == 0]
-    return dict(zip(rows["trial"], rows["reason"], strict=True))
+    return dict(zip(rows["trial"], map(in_few_words, rows["reason"]), strict=True))
 
 
 @dataclass(frozen=True)

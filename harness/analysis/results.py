@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -19,7 +18,7 @@ from harness.analysis.pooling import Factor
 from harness.analysis.process_pooling import joined
 from harness.analysis.renew import renewed
 from harness.analysis.seeds import over_training_seeds, training_seeds
-from harness.analysis.validity import changed, changed_files
+from harness.analysis.validity import changed, changed_files, in_few_words
 from harness.store.damage import damage
 from harness.store.folder import ResultsFolder
 from harness.store.frame import STALE, frame
@@ -173,7 +172,7 @@ class Results:
             number = replace(number, note="; ".join(filter(None, [number.note, *said])))
         old = next((str(row["reason"]) for row in found if row["status"] == STALE), "")
         if old:
-            number = replace(number, note=old)
+            number = replace(number, note=in_few_words(old))
         good = {row["trial"] for row in found}
         seeds = {row["trial"] for row in rows}
         if good != seeds:
@@ -226,11 +225,11 @@ class Results:
         rows = self.rows(measure, material, method, scene)
         return list(dict.fromkeys(row["trial"] for row in rows if row["status"] in SHOWN))
 
-    def stale(self, measure: str) -> dict[str, int]:
-        """Why numbers of a measure do not hold any more, with how many trials each concerns."""
-        old = [row for row in self.rows(measure) if row["status"] == STALE]
-        reasons = {row["trial"]: str(row["reason"]) for row in old}
-        return dict(Counter(reasons.values()))
+    def stale(self, measure: str) -> tuple[int, int]:
+        """How many trials of a measure have numbers that do not hold any more, and of how many."""
+        rows = self.rows(measure)
+        old = {row["trial"] for row in rows if row["status"] == STALE}
+        return len(old), len({row["trial"] for row in rows})
 
     def stored(self, trial: str) -> Stored:
         """A trial with its arrays and images."""

@@ -103,8 +103,10 @@ def circumstances(results: Results, measure: str, *counts: str, timed: bool = Fa
             text += f" Machine: {'; '.join(machines)}."
         if len(machines) > 1:
             text += " Times of different machines are not to be compared."
-    for reason, count in results.stale(measure).items():
-        text += f" {count} trial{'s' * (count != 1)} {reason}."
+    old, count = results.stale(measure)
+    if old:
+        which = f"{old} of {count}" if old < count else f"All {count}"
+        text += f" {which} trials are stale: code that they were measured with has changed since."
     return text.strip()
 
 

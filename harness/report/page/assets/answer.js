@@ -23,7 +23,7 @@ function setUpAnswer() {
 
 function dotPlots(means) {
   const dots = el("div", { class: "dots" });
-  follow(() => dots.replaceChildren(...means.filter(meansShown).map(dotPlot)));
+  followKey(hiddenKey, () => dots.replaceChildren(...means.filter(meansShown).map(dotPlot)));
   return dots;
 }
 
