@@ -213,6 +213,8 @@ function adviceLines() {
       best.tie ? `A tie: ${name} is the fastest of all in ${percent(best.surest)} of the draws.`
         : `${name} is the fastest of all in ${percent(best.surest)} of the draws from all intervals.`));
   }
+  const marks = marksOf(of.lines, [best.method, best.next]);
+  if (marks.length) lines.push(el("p", { class: "warning" }, `‡ ${marks.join("; ")}`));
   lines.push(el("p", {}, trainingWords(cell.training, name)));
   const range = rangeOf(of.best, choice.stop);
   lines.push(el("p", { class: "dim" }, `This holds ${range}. `, whereTheyDiffer()));
@@ -222,6 +224,15 @@ function adviceLines() {
       el("ul", {}, out.map(([label, why]) => el("li", {}, `${label}: ${why}`)))));
   }
   return lines;
+}
+
+/** What is to be known of the timings of `methods`: one sentence for those that share it. */
+function marksOf(lines, methods) {
+  const found = new Map();
+  for (const line of lines.filter((one) => one.mark && methods.includes(one.method))) {
+    found.set(line.mark, [...(found.get(line.mark) || []), report.methods[line.method].label]);
+  }
+  return [...found].map(([mark, names]) => `${names.join(" and ")}: ${mark}`);
 }
 
 function percent(share) {
