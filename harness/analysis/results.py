@@ -18,6 +18,7 @@ from harness.analysis.pooling import Factor
 from harness.analysis.process_pooling import joined
 from harness.analysis.renew import renewed
 from harness.analysis.seeds import over_training_seeds, training_seeds
+from harness.analysis.shares import between, between_all
 from harness.analysis.validity import changed, changed_files, in_few_words
 from harness.store.damage import damage
 from harness.store.folder import ResultsFolder
@@ -77,7 +78,7 @@ class Results:
             code = changed(store, trials)
             old = code.stale | changed_files(plan)
             found = pooled(plan, trials, baseline_of(plan))
-            table = frame(plan["trials"], found.trials, old, all)
+            table = between_all(frame(plan["trials"], found.trials, old, all))
         earlier = code.earlier & set(table["trial"])
         return cls(Path(folder), table, plan, found.trials, factors=found, earlier=earlier)
 
@@ -166,7 +167,7 @@ class Results:
         if not found:
             bound = _not_resolved(unresolved) or _bounded(rows, metric)
             return bound or _why(rows, measure, metric)
-        number = over_training_seeds(self._by_training(found))
+        number = between(metric, over_training_seeds(self._by_training(found)))
         said = dict.fromkeys(f.note for f in factors if f is not None and f.note)
         if said:
             number = replace(number, note="; ".join(filter(None, [number.note, *said])))
