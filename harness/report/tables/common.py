@@ -8,7 +8,7 @@ from typing import Any
 from harness.analysis.combine import Estimate
 from harness.analysis.results import MethodColumn, Results
 from harness.analysis.validity import said_of_earlier
-from harness.report.table import Cell, Row, embolden
+from harness.report.table import Cell, Row, Section, Table, embolden
 
 Number = Callable[[str, MethodColumn], Estimate | str]
 """(material, method) -> the number, or the reason why there is none."""
@@ -71,6 +71,23 @@ def material_rows(
         return rows
     means = [_mean_cell(results, number, m, mean, suffix, warning, biased) for m in results.methods]
     return [*rows, Row(mean_label, embolden(means, best), summary=True)]
+
+
+def lowest_wins(
+    results: Results, measure: str, sections: list[Section], name: str, title: str, caption: str
+) -> Table:
+    """Materials against methods, by one measure, in which the lowest number of a row is the best."""
+    return Table(
+        name=name,
+        title=title,
+        caption=caption,
+        corner="material",
+        columns=[method.label for method in results.methods],
+        sections=sections,
+        best="low",
+        legend=legend(results),
+        measures=(measure,),
+    )
 
 
 def as_baseline(text: str, method: MethodColumn) -> Cell:

@@ -9,7 +9,7 @@ from harness.analysis.combine import Estimate, arithmetic_mean, geometric_mean
 from harness.analysis.results import Results
 from harness.report.series.slices import BELOW_ZERO, REACHES_BELOW
 from harness.report.table import Section, Table
-from harness.report.tables.common import Mean, circumstances, legend, material_rows
+from harness.report.tables.common import Mean, circumstances, lowest_wins, material_rows
 
 N = TypeVar("N", Estimate, Estimate | str)
 
@@ -56,7 +56,10 @@ def pdf(results: Results) -> Table | str:
     said = circumstances(
         results, MEASURE, f"{conditions} held-out conditions" if conditions else ""
     )
-    return Table(
+    return lowest_wins(
+        results,
+        MEASURE,
+        sections,
         name="pdf",
         title="Quality of the pdf",
         caption=(
@@ -64,12 +67,6 @@ def pdf(results: Results) -> Table | str:
             "the BSDF over the projected disk; mean over conditions held out from fitting. The χ² "
             f"divergence is the variance under constant light. Lower is better. {said}"
         ).strip(),
-        corner="material",
-        columns=[method.label for method in results.methods],
-        sections=sections,
-        best="low",
-        legend=legend(results),
-        measures=(MEASURE,),
     )
 
 

@@ -269,7 +269,11 @@ function trainingWords(training, name) {
 /** In which part of the image the methods differ most, with a link to it. */
 function whereTheyDiffer() {
   const group = groupAt();
-  if (!group) return "No images of it are stored.";
+  if (!group) {
+    const others = [...new Set(report.images.groups.map((one) => report.materials[one.material]))];
+    return others.length ? el("span", {}, "No images of it are stored; ",
+      el("a", { href: "#images" }, `those of ${others.join(", ")}`), " are.") : "No images of it are stored.";
+  }
   if (!group.squares.length) return el("a", { href: "#images" }, "Its images are below.");
   return el("span", {}, "In the image the methods differ most at ",
     el("a", { href: "#images", on: { click: () => showSquare(0) } }, group.squares[0].said), ".");
