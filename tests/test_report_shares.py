@@ -55,6 +55,7 @@ def test_the_interval_of_a_share_is_cut_to_shares(metric, value, ends, shown):
 
 
 def test_without_an_interval_there_is_none():
+    assert between("a-share", Estimate(0.5, None, None)) == Estimate(0.5, None, None)
     frame = pd.DataFrame([{"metric": "a-share", "value": 0.5, "ci_low": math.nan, "ci_high": 0.7}])
     low, high = between_all(frame)[["ci_low", "ci_high"]].to_numpy()[0]
     assert math.isnan(low) and high == 0.7

@@ -22,7 +22,7 @@ def between(metric: str, number: Estimate) -> Estimate:
     What is cut off cannot hold the true share, so that the rest covers it as often. A value that
     is no share, which an error would make, stays as it is with its interval.
     """
-    if not is_share(metric) or not 0 <= number.value <= 1:
+    if not (is_share(metric) and number.has_interval and 0 <= number.value <= 1):
         return number
     return replace(number, low=max(number.low, 0.0), high=min(number.high, 1.0))
 

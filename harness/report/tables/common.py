@@ -76,7 +76,7 @@ def material_rows(
 def lowest_wins(
     results: Results, measure: str, sections: list[Section], name: str, title: str, caption: str
 ) -> Table:
-    """Materials against methods, by one measure, in which the lowest number of a row is the best."""
+    """Materials against methods by one measure, the lowest number of a row being the best."""
     return Table(
         name=name,
         title=title,

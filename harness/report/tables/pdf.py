@@ -81,7 +81,7 @@ def _explained(number: N) -> N:
         return number
     if number.value < 0:
         why = BELOW_ZERO
-    elif number.low < 0:
+    elif number.has_interval and number.low < 0:
         why = REACHES_BELOW
     else:
         return number
