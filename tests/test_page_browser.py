@@ -106,6 +106,12 @@ def watched(browser, file: Path) -> Iterator[Watched]:
     made.tab.close()
 
 
+def in_sight(tab, selector: str) -> None:
+    """Scrolled to; what is out of sight is not drawn, and its text is empty."""
+    tab.locator(selector).first.scroll_into_view_if_needed()
+    tab.wait_for_function("s => document.querySelector(s).innerText !== ''", arg=selector)
+
+
 def column(tab, at: int) -> list[str]:
     """Texts of a column of the first section of the first table."""
     rows = tab.locator("#table-table2 tbody").first.locator("tr")
@@ -122,6 +128,7 @@ def canvas_bytes(tab) -> str:
 
 def test_a_heading_sorts_and_means_stay_below(watched: Watched):
     tab = watched.tab
+    in_sight(tab, "#table-table2 thead")
     heads = tab.locator("#table-table2 thead").first.locator("th")
     names = heads.all_inner_texts()
     at = next(i for i in range(1, len(names)) if len(numbers(column(tab, i)[:-1])) > 1)
@@ -140,8 +147,11 @@ def test_rows_are_filtered_and_methods_hidden(watched: Watched):
     assert column(tab, 0) == ["brocade"]
     tab.get_by_text("Show and hide methods").click()
     tab.locator("#filters .chip", has_text="two-lobe").click()
-    assert "two-lobe" not in tab.locator("#table-table2 thead").first.inner_text()
     assert "two-lobe" not in tab.locator(".dotplot").first.inner_text()
+    in_sight(tab, "#table-table2 thead")
+    tab.wait_for_function(
+        "!document.querySelector('#table-table2 thead').innerText.includes('two-lobe')"
+    )
 
 
 def test_a_number_opens_its_trial_and_a_link_does(watched: Watched, browser, file: Path):
@@ -160,6 +170,7 @@ def test_a_number_opens_its_trial_and_a_link_does(watched: Watched, browser, fil
 
 def test_a_hostile_name_is_text(watched: Watched):
     tab = watched.tab
+    in_sight(tab, "#table-table2 thead")
     assert HOSTILE in tab.locator("#table-table2 thead").first.inner_text()
     assert tab.locator("img").count() == 0
 
@@ -243,6 +254,26 @@ def test_ten_thousand_records_are_few_elements(browser, large: Path):
     assert "kl" in tab.locator("dialog[open]").inner_text()
     assert made.wrong == []
     tab.close()
+
+
+def test_a_change_draws_only_what_it_concerns(watched: Watched):
+    tab = watched.tab
+    in_sight(tab, "#table-table2 thead")
+    mark = "document.querySelector('#table-table2 tbody tr').dataset.kept = 'yes'"
+    kept = "document.querySelector('#table-table2 tbody tr').dataset.kept === 'yes'"
+    tab.evaluate(mark)
+    tab.evaluate("choose({stop: 3})")  # the slider is about no table
+    assert tab.evaluate(kept)
+    tab.evaluate("toggleHidden('methods', 1)")
+    assert not tab.evaluate(kept)
+    tab.evaluate("window.scrollTo(0, 0)")
+    tab.evaluate(mark)
+    tab.wait_for_timeout(200)
+    tab.evaluate("toggleHidden('methods', 1)")
+    waits = tab.evaluate(kept)
+    in_sight(tab, "#table-table2 thead")
+    tab.wait_for_function(f"!({kept})")
+    assert waits
 
 
 def test_plots_are_drawn_and_the_slider_changes_the_advice(watched: Watched):

@@ -6,9 +6,17 @@ from pathlib import Path
 
 import pytest
 
-from tests.test_page_browser import CHROMIUM, Watched, browser, file, loaded, results
+from tests.test_page_browser import (
+    CHROMIUM,
+    Watched,
+    browser,
+    large,
+    loaded,
+    prepared,
+    results,
+)
 
-__all__ = ["browser", "file", "loaded", "results"]  # fixtures
+__all__ = ["browser", "large", "loaded", "prepared", "results"]  # fixtures
 pytestmark = [
     pytest.mark.slow,
     pytest.mark.skipif(CHROMIUM is None, reason="no Chromium is installed here"),
@@ -52,9 +60,9 @@ ACTIONS = {
 
 @pytest.mark.parametrize("name", ACTIONS)
 def test_ten_thousand_records_answer_within_a_tenth_of_a_second(
-    browser, file: Path, name: str, record_property
+    browser, large: Path, name: str, record_property
 ):
-    made = Watched(browser, file)
+    made = Watched(browser, large)
     made.tab.get_by_text("Every number of every trial").click()
     made.tab.locator(".records button.record").first.wait_for()
     spent = sorted(made.tab.evaluate(_TIMED, list(ACTIONS[name])))

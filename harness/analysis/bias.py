@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from harness.analysis.results import Results
+from harness.analysis.results import SHOWN, Results
+from harness.analysis.validity import in_few_words
 from harness.stats.ztest import holm
 
 LEVEL = 0.05
@@ -23,7 +24,7 @@ def corrected_p(results: Results) -> dict[Key, float]:
     """
     rows = results.frame
     rows = rows[(rows["measure"] == MEASURE) & (rows["metric"] == "bias-p")]
-    rows = rows[(rows["status"] == "ok") & rows["value"].notna()]
+    rows = rows[rows["status"].isin(SHOWN) & rows["value"].notna()]
     rows = rows[~rows["trial"].isin(results.once(_unresolved))]
     keys = list(zip(rows["material"], rows["method"], rows["scene"], strict=True))
     corrected: dict[Key, float] = {}
@@ -51,7 +52,7 @@ def _unresolved(results: Results) -> dict[str, str]:
     rows = results.frame
     rows = rows[(rows["measure"] == MEASURE) & (rows["metric"] == "tail-resolved")]
     rows = rows[rows["value"] == 0]
-    return dict(zip(rows["trial"], rows["reason"], strict=True))
+    return dict(zip(rows["trial"], map(in_few_words, rows["reason"]), strict=True))
 
 
 @dataclass(frozen=True)
@@ -71,7 +72,8 @@ def deciding_test(results: Results, material: str, method: str, scene: str) -> D
     """
     rows = results.frame
     rows = rows[(rows["measure"] == MEASURE) & (rows["material"] == material)]
-    rows = rows[(rows["method"] == method) & (rows["scene"] == scene) & (rows["status"] == "ok")]
+    rows = rows[(rows["method"] == method) & (rows["scene"] == scene)]
+    rows = rows[rows["status"].isin(SHOWN)]
     rows = rows[~rows["trial"].isin(results.once(_unresolved))]
     metrics = rows.pivot_table(index="seed", columns="metric", values="value")
     if not {"bias-p", "bias-z"} <= set(metrics.columns):

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from harness.analysis.combine import Z95, Estimate
 from harness.analysis.marks import disturbed
-from harness.analysis.results import MethodColumn, Results
+from harness.analysis.results import SHOWN, MethodColumn, Results
 from harness.stats.crossing import Crossing, crossing
 from harness.stats.distributions import t_quantile
 from harness.stats.levels import over_seeds_draws
@@ -38,7 +38,8 @@ VARIANCES = ("equal-time", "equal-spp", "cost")
 class CostLine:
     """Total time of one method: ``fixed`` seconds, ``slope`` seconds per reference sample.
 
-    Both are [1 + R]: the value, then its draws. ``mark`` says if a timing was disturbed.
+    Both are [1 + R]: the value, then its draws. ``mark`` says if a timing was
+    disturbed or is stale.
     """
 
     method: MethodColumn
@@ -82,7 +83,7 @@ def costs(results: Results, material: str, scene: str, shipped: bool = False) ->
     base = found.get(reference, "no such method in the suite")
     if isinstance(base, str):
         return f"{reference or 'the baseline'} on {material} in {scene}: {base}"
-    lines, missing = {}, {}
+    lines, missing, at = {}, {}, (material, scene)
     for method in results.methods:
         cost = found[method.label]
         start = _start(results, material, method.label, scene, shipped)
@@ -92,9 +93,19 @@ def costs(results: Results, material: str, scene: str, shipped: bool = False) ->
         # A draw of a variance that is hardly known may be anything: infinite never pays.
         with np.errstate(over="ignore"):
             slope = np.exp(cost.variance - base.variance + cost.seconds)
-        mark = disturbed(results, TIMES, material, method.label, scene)
-        lines[method.label] = CostLine(method, start, slope, mark)
+        lines[method.label] = CostLine(method, start, slope, _mark(results, *at, method.label))
     return Costs(material, scene, reference, lines, missing)
+
+
+def _mark(results: Results, material: str, scene: str, method: str) -> str:
+    """What is to be known of a method's timings: disturbed, or by code that has changed since."""
+    old = any(
+        row["status"] == STALE
+        for measure in dict.fromkeys(TIMES + VARIANCES)
+        for row in results.rows(measure, material, method, scene)
+    )
+    said = disturbed(results, TIMES, material, method, scene)
+    return "; ".join(filter(None, [said, "stale" * old]))
 
 
 # --- from what is stored -----------------------------------------------------------------------
@@ -161,7 +172,7 @@ def _stored(
         rows = results.rows(measure, material, method, scene)
         if not rows:
             continue
-        trials = {row["seed"]: row["trial"] for row in rows if row["status"] == "ok"}
+        trials = {row["seed"]: row["trial"] for row in rows if row["status"] in SHOWN}
         found = {
             seed: np.asarray(arrays[name], float)
             for seed, trial in trials.items()
@@ -172,9 +183,7 @@ def _stored(
                 return found
             return {seed: array / _pixels(results, trials[seed]) for seed, array in found.items()}
         if not trials:
-            old = any(row["status"] == STALE for row in rows)
-            why = results.why_missing(measure, material, method, scene)
-            reasons.append(f"the numbers of {measure} are stale" if old else why)
+            reasons.append(results.why_missing(measure, material, method, scene))
     needs = "a time per sample" if name == "seconds" else "a variance"
     return reasons[0] if reasons else f"not measured: {needs} takes one of {', '.join(measures)}"
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from harness.analysis.combine import Z95, Estimate
-from harness.analysis.results import MethodColumn, Results
+from harness.analysis.results import SHOWN, MethodColumn, Results
 from harness.stats.intervals import log_speed_up
 from harness.stats.levels import share_interval, spread_by_level, two_level_mean
 
@@ -134,7 +134,7 @@ def _measured(results: Results, material: str, method: str, scene: str) -> list[
     rows = [
         row
         for row in results.rows(MEASURE, material, method, scene)
-        if row["metric"] == METRIC and row["status"] == "ok" and 0 < row["value"] < math.inf
+        if row["metric"] == METRIC and row["status"] in SHOWN and 0 < row["value"] < math.inf
     ]
     if not rows:
         number = results.number(MEASURE, METRIC, material, method, scene)

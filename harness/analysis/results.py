@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -19,7 +18,8 @@ from harness.analysis.pooling import Factor
 from harness.analysis.process_pooling import joined
 from harness.analysis.renew import renewed
 from harness.analysis.seeds import over_training_seeds, training_seeds
-from harness.analysis.validity import changed, changed_files
+from harness.analysis.shares import between, between_all
+from harness.analysis.validity import changed, changed_files, in_few_words
 from harness.store.damage import damage
 from harness.store.folder import ResultsFolder
 from harness.store.frame import STALE, frame
@@ -78,7 +78,7 @@ class Results:
             code = changed(store, trials)
             old = code.stale | changed_files(plan)
             found = pooled(plan, trials, baseline_of(plan))
-            table = frame(plan["trials"], found.trials, old, all)
+            table = between_all(frame(plan["trials"], found.trials, old, all))
         earlier = code.earlier & set(table["trial"])
         return cls(Path(folder), table, plan, found.trials, factors=found, earlier=earlier)
 
@@ -167,13 +167,13 @@ class Results:
         if not found:
             bound = _not_resolved(unresolved) or _bounded(rows, metric)
             return bound or _why(rows, measure, metric)
-        number = over_training_seeds(self._by_training(found))
+        number = between(metric, over_training_seeds(self._by_training(found)))
         said = dict.fromkeys(f.note for f in factors if f is not None and f.note)
         if said:
             number = replace(number, note="; ".join(filter(None, [number.note, *said])))
         old = next((str(row["reason"]) for row in found if row["status"] == STALE), "")
         if old:
-            number = replace(number, note=old)
+            number = replace(number, note=in_few_words(old))
         good = {row["trial"] for row in found}
         seeds = {row["trial"] for row in rows}
         if good != seeds:
@@ -226,11 +226,11 @@ class Results:
         rows = self.rows(measure, material, method, scene)
         return list(dict.fromkeys(row["trial"] for row in rows if row["status"] in SHOWN))
 
-    def stale(self, measure: str) -> dict[str, int]:
-        """Why numbers of a measure do not hold any more, with how many trials each concerns."""
-        old = [row for row in self.rows(measure) if row["status"] == STALE]
-        reasons = {row["trial"]: str(row["reason"]) for row in old}
-        return dict(Counter(reasons.values()))
+    def stale(self, measure: str) -> tuple[int, int]:
+        """How many trials of a measure have numbers that do not hold any more, and of how many."""
+        rows = self.rows(measure)
+        old = {row["trial"] for row in rows if row["status"] == STALE}
+        return len(old), len({row["trial"] for row in rows})
 
     def stored(self, trial: str) -> Stored:
         """A trial with its arrays and images."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cache
@@ -92,6 +93,11 @@ def said_of_earlier(count: int) -> str:
         f"{fits} shipped with the harness, fitted by an earlier version of the code: {its} seconds "
         "are those of that version"
     )
+
+
+def in_few_words(reason: str) -> str:
+    """A reason for being stale without the places in the code, of which there may be hundreds."""
+    return re.sub(r" \([^()]*\)", "", reason) if reason.startswith("stale:") else reason
 
 
 def changed_files(plan: Mapping[str, Any]) -> dict[str, str]:

@@ -29,6 +29,11 @@ def _core() -> Any:
     Bitmaps do not depend on the variant; to choose one here would decide for the renders
     that may follow in the same process.
     """
+    import drjit
     import mitsuba
 
+    if drjit.thread_count() < 2:
+        # OpenEXR waits for Dr.Jit's workers. On one processor there is none: the caller counts as
+        # the first thread.
+        drjit.set_thread_count(2)
     return mitsuba.mitsuba_ext

@@ -8,7 +8,7 @@ from typing import Any
 from harness.analysis.combine import Estimate
 from harness.analysis.results import MethodColumn, Results
 from harness.analysis.validity import said_of_earlier
-from harness.report.table import Cell, Row, embolden
+from harness.report.table import Cell, Row, Section, Table, embolden
 
 Number = Callable[[str, MethodColumn], Estimate | str]
 """(material, method) -> the number, or the reason why there is none."""
@@ -73,6 +73,23 @@ def material_rows(
     return [*rows, Row(mean_label, embolden(means, best), summary=True)]
 
 
+def lowest_wins(
+    results: Results, measure: str, sections: list[Section], name: str, title: str, caption: str
+) -> Table:
+    """Materials against methods by one measure, the lowest number of a row being the best."""
+    return Table(
+        name=name,
+        title=title,
+        caption=caption,
+        corner="material",
+        columns=[method.label for method in results.methods],
+        sections=sections,
+        best="low",
+        legend=legend(results),
+        measures=(measure,),
+    )
+
+
 def as_baseline(text: str, method: MethodColumn) -> Cell:
     """The reference of a ratio: one by definition, without an interval."""
     return Cell(1.0, 1.0, 1.0, text=text, ceiling=method.ceiling)
@@ -103,8 +120,10 @@ def circumstances(results: Results, measure: str, *counts: str, timed: bool = Fa
             text += f" Machine: {'; '.join(machines)}."
         if len(machines) > 1:
             text += " Times of different machines are not to be compared."
-    for reason, count in results.stale(measure).items():
-        text += f" {count} trial{'s' * (count != 1)} {reason}."
+    old, count = results.stale(measure)
+    if old:
+        which = f"{old} of {count}" if old < count else f"All {count}"
+        text += f" {which} trials are stale: code that they were measured with has changed since."
     return text.strip()
 
 

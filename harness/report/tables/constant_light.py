@@ -6,7 +6,7 @@ from harness.analysis.combine import Estimate
 from harness.analysis.quantities import scaled
 from harness.analysis.results import MethodColumn, Results
 from harness.report.table import Section, Table
-from harness.report.tables.common import circumstances, legend, material_rows
+from harness.report.tables.common import circumstances, lowest_wins, material_rows
 
 ORDER = 32
 MEASURE = "constant-light"
@@ -34,7 +34,10 @@ def constant_light(results: Results) -> Table | str:
         sections.append(Section(f"{scene}: share of the footprint [%]", rows))
     if not sections:
         return f"no trial of the measure {MEASURE} has a number"
-    return Table(
+    return lowest_wins(
+        results,
+        MEASURE,
+        sections,
         name="constant-light",
         title="Variance under constant light, integrated",
         caption=(
@@ -43,10 +46,4 @@ def constant_light(results: Results) -> Table | str:
             "of the albedo over a pixel, which no sampler changes: a speed-up at equal samples "
             f"cannot exceed that of all the rest. {circumstances(results, MEASURE)}"
         ).strip(),
-        corner="material",
-        columns=[method.label for method in results.methods],
-        sections=sections,
-        best="low",
-        legend=legend(results),
-        measures=(MEASURE,),
     )

@@ -2,10 +2,16 @@
 
 from __future__ import annotations
 
-from harness.analysis.combine import arithmetic_mean, geometric_mean
+from dataclasses import replace
+from typing import TypeVar
+
+from harness.analysis.combine import Estimate, arithmetic_mean, geometric_mean
 from harness.analysis.results import Results
+from harness.report.series.slices import BELOW_ZERO, REACHES_BELOW
 from harness.report.table import Section, Table
-from harness.report.tables.common import circumstances, legend, material_rows
+from harness.report.tables.common import Mean, circumstances, lowest_wins, material_rows
+
+N = TypeVar("N", Estimate, Estimate | str)
 
 ORDER = 40
 MEASURE = "pdf"
@@ -35,11 +41,11 @@ def pdf(results: Results) -> Table | str:
             continue
 
         def number(material, method, metric=metric):
-            return results.number(MEASURE, metric, material, method.label)
+            return _explained(results.number(MEASURE, metric, material, method.label))
 
         # A share of invalid samples is no contest: cosine has none and is no better for it.
         best = "low" if mean is not None else ""
-        rows = material_rows(results, number, best, mean, mean_label)
+        rows = material_rows(results, number, best, mean and _of(mean), mean_label)
         sections.append(Section(title, rows, brief))
     if not sections:
         rows = material_rows(
@@ -50,7 +56,10 @@ def pdf(results: Results) -> Table | str:
     said = circumstances(
         results, MEASURE, f"{conditions} held-out conditions" if conditions else ""
     )
-    return Table(
+    return lowest_wins(
+        results,
+        MEASURE,
+        sections,
         name="pdf",
         title="Quality of the pdf",
         caption=(
@@ -58,10 +67,22 @@ def pdf(results: Results) -> Table | str:
             "the BSDF over the projected disk; mean over conditions held out from fitting. The χ² "
             f"divergence is the variance under constant light. Lower is better. {said}"
         ).strip(),
-        corner="material",
-        columns=[method.label for method in results.methods],
-        sections=sections,
-        best="low",
-        legend=legend(results),
-        measures=(MEASURE,),
     )
+
+
+def _of(mean: Mean) -> Mean:
+    """The mean, with its reason where it is below zero."""
+    return lambda estimates, count: _explained(mean(estimates, count))
+
+
+def _explained(number: N) -> N:
+    """A number, with the reason in its note where it or its interval is below zero."""
+    if isinstance(number, str):
+        return number
+    if number.value < 0:
+        why = BELOW_ZERO
+    elif number.has_interval and number.low < 0:
+        why = REACHES_BELOW
+    else:
+        return number
+    return replace(number, note="; ".join(filter(None, [number.note, why])))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from harness.analysis.combine import Estimate, geometric_mean
 from harness.analysis.results import Results
 from harness.report.table import Section, Table
-from harness.report.tables.common import circumstances, legend, material_rows
+from harness.report.tables.common import circumstances, lowest_wins, material_rows
 
 ORDER = 110
 MEASURE = "sample-weights"
@@ -46,7 +46,10 @@ def sample_weights(results: Results) -> Table | str:
     said = circumstances(
         results, MEASURE, f"{conditions} held-out conditions" if conditions else ""
     )
-    return Table(
+    return lowest_wins(
+        results,
+        MEASURE,
+        sections,
         name=MEASURE,
         title="Weights of samples",
         caption=(
@@ -56,12 +59,6 @@ def sample_weights(results: Results) -> Table | str:
             "variance / N. Where f is itself a mean over random walks, f/p contains its noise, "
             f"which two evaluations by different walks tell apart. Lower is better. {said}"
         ).strip(),
-        corner="material",
-        columns=[method.label for method in results.methods],
-        sections=sections,
-        best="low",
-        legend=legend(results),
-        measures=(MEASURE,),
     )
 
 

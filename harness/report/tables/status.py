@@ -4,7 +4,9 @@ have yet to be made."""
 from __future__ import annotations
 
 from harness.analysis.results import Results
+from harness.analysis.validity import in_few_words
 from harness.report.table import Cell, Row, Section, Table
+from harness.store.frame import STALE
 from harness.store.stored import NOT_RUN
 
 ORDER = 160
@@ -19,6 +21,8 @@ def status(results: Results) -> Table | str:
     alike: dict[tuple[str, str, str], list[dict]] = {}
     for row in failed[~waiting].to_dict("records"):
         reason = " ".join(str(row["reason"]).split()) or "no reason stored"
+        if row["status"] == STALE:
+            reason = in_few_words(reason)
         alike.setdefault((row["method"], row["status"], reason), []).append(row)
     for row in results.frame.drop_duplicates("trial").to_dict("records"):
         stored = results.found.get(row["trial"])
@@ -45,13 +49,20 @@ def status(results: Results) -> Table | str:
         said.append(f"{waiting.sum()} {NOT_RUN}")
     return Table(
         name="status",
-        title="Trials without a number" if len(failed) else "All trials gave their numbers",
+        title=_title(set(failed["status"])),
         caption=f"{', '.join(said)}.",
         corner="material",
         columns=list(_COLUMNS),
         sections=[Section("", rows)] if rows else [],
         text_columns=True,
     )
+
+
+def _title(states: set[str]) -> str:
+    lost = "Trials without a number" if states - {STALE} else ""
+    if STALE not in states:
+        return lost or "All trials gave their numbers"
+    return f"{lost}, or with one that is stale" if lost else "Trials whose numbers are stale"
 
 
 def _materials(rows: list[dict], results: Results) -> str:

@@ -23,7 +23,7 @@ function setUpAnswer() {
 
 function dotPlots(means) {
   const dots = el("div", { class: "dots" });
-  follow(() => dots.replaceChildren(...means.filter(meansShown).map(dotPlot)));
+  followKey(hiddenKey, () => dots.replaceChildren(...means.filter(meansShown).map(dotPlot)));
   return dots;
 }
 
@@ -213,6 +213,8 @@ function adviceLines() {
       best.tie ? `A tie: ${name} is the fastest of all in ${percent(best.surest)} of the draws.`
         : `${name} is the fastest of all in ${percent(best.surest)} of the draws from all intervals.`));
   }
+  const marks = marksOf(of.lines, [best.method, best.next]);
+  if (marks.length) lines.push(el("p", { class: "warning" }, `‡ ${marks.join("; ")}`));
   lines.push(el("p", {}, trainingWords(cell.training, name)));
   const range = rangeOf(of.best, choice.stop);
   lines.push(el("p", { class: "dim" }, `This holds ${range}. `, whereTheyDiffer()));
@@ -222,6 +224,15 @@ function adviceLines() {
       el("ul", {}, out.map(([label, why]) => el("li", {}, `${label}: ${why}`)))));
   }
   return lines;
+}
+
+/** What is to be known of the timings of `methods`: one sentence for those that share it. */
+function marksOf(lines, methods) {
+  const found = new Map();
+  for (const line of lines.filter((one) => one.mark && methods.includes(one.method))) {
+    found.set(line.mark, [...(found.get(line.mark) || []), report.methods[line.method].label]);
+  }
+  return [...found].map(([mark, names]) => `${names.join(" and ")}: ${mark}`);
 }
 
 function percent(share) {
@@ -258,7 +269,11 @@ function trainingWords(training, name) {
 /** In which part of the image the methods differ most, with a link to it. */
 function whereTheyDiffer() {
   const group = groupAt();
-  if (!group) return "No images of it are stored.";
+  if (!group) {
+    const others = [...new Set(report.images.groups.map((one) => report.materials[one.material]))];
+    return others.length ? el("span", {}, "No images of it are stored; ",
+      el("a", { href: "#images" }, `those of ${others.join(", ")}`), " are.") : "No images of it are stored.";
+  }
   if (!group.squares.length) return el("a", { href: "#images" }, "Its images are below.");
   return el("span", {}, "In the image the methods differ most at ",
     el("a", { href: "#images", on: { click: () => showSquare(0) } }, group.squares[0].said), ".");

@@ -15,7 +15,7 @@ function setUpBreakeven(place) {
   });
   const figure = place.lastElementChild;
   figure.querySelector(".plots").append(list);
-  follow(() => {
+  followKey(() => [choice.stop, choice.shipped, cellKey()], () => {
     drawTotals(list);
     const slider = figure.querySelector("input[type=range]");
     if (slider) {
@@ -24,7 +24,7 @@ function setUpBreakeven(place) {
     }
     const plot = figure.querySelector(".plot");
     if (plot.data && window.Plotly) window.Plotly.relayout(plot, { shapes: [stopLine()] });
-  });
+  }, figure);
 }
 
 function linesHere() {

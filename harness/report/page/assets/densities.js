@@ -20,7 +20,7 @@ function setUpDensities(place) {
         : el("span", { class: "dim" }, "Stored before sampled points were kept."));
     drawDensities(grid, found[state.at], state.points);
   };
-  whenSeen(figure, () => followKey(() => [[...hidden.methods]], draw));
+  whenSeen(figure, () => followKey(() => [[...hidden.methods], darkNow()], draw, figure));
 }
 
 async function drawDensities(grid, found, points) {

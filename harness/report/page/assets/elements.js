@@ -55,20 +55,38 @@ function whenSeen(element, draw) {
   watch.observe(element);
 }
 
-/** As `follow`, but `draw` is called only where `key()` is another than before. */
-function followKey(key, draw) {
+/**
+ * Calls `draw` now, and again where `key()` is another than before. With an `element`, what is
+ * out of the window's reach waits until it comes near or is printed.
+ */
+function followKey(key, draw, element = null) {
   let last = null;
-  follow(() => {
+  let near = true;
+  const update = () => {
     const now = JSON.stringify(key());
     if (now === last) return;
     last = now;
     draw();
-  });
+  };
+  if (element) {
+    new IntersectionObserver((entries) => {
+      near = entries[entries.length - 1].isIntersecting;
+      if (near) update();
+    }, { rootMargin: "300px" }).observe(element);
+    window.addEventListener("beforeprint", update);
+  }
+  update();
+  follow(() => { if (near) update(); });
 }
 
 /** What views of one material and scene depend on. */
 function cellKey() {
   return [choice.material, choice.scene, [...hidden.methods], darkNow()];
+}
+
+/** What views of all materials and scenes depend on. */
+function hiddenKey() {
+  return [[...hidden.methods], [...hidden.materials], [...hidden.scenes], darkNow()];
 }
 
 /** A labelled select; `options` are [value, text]. */

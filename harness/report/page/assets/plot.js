@@ -38,7 +38,7 @@ function plotFigure(place, { title, caption, controls, key, plots }) {
       drawControls();
       const Plotly = await plotly();
       plots.forEach((plot, i) => drawPlot(Plotly, figures[i], plot()));
-    });
+    }, row);
   });
   drawControls();
 }

@@ -72,7 +72,7 @@ function recordTable(rows) {
     if (pressed) openTrials([state.shown[Number(pressed.dataset.at)].place], "Record");
   });
   const made = el("div", {}, el("div", { class: "form" }, search, count), frame);
-  requestAnimationFrame(() => follow(order));
+  requestAnimationFrame(() => followKey(hiddenKey, order, frame));
   return made;
 }
 

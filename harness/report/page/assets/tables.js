@@ -41,7 +41,7 @@ function wholeTable(table) {
       if (on) state.off.delete(i); else state.off.add(i);
       draw();
     }))));
-  follow(draw);
+  followKey(hiddenKey, draw, body);
   const files = ["md", "csv", "tex"].map((end) => el("a", { href: `${encodeURIComponent(table.name)}.${end}` }, end));
   return el("div", {},
     el("p", { class: "caption" }, table.caption),

@@ -24,7 +24,7 @@ function setUpViewer() {
     if (at < shots.length) flipTo(at < 0 ? -1 : shots[at].method);
   });
   viewer.redraw = () => drawViewer(top, stage, values);
-  whenSeen(place, () => followKey(cellKey, viewer.redraw));
+  whenSeen(place, () => followKey(cellKey, viewer.redraw, place));
 }
 
 function shownShots(group) {
