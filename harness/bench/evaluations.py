@@ -116,7 +116,7 @@ def errors(held: Held, masses: list[Tensor], albedo: Tensor) -> dict[str, float]
     known = held.survival.share.double()
     relative = (albedo / known - 1)[known > 0]
     return {
-        "KL [nats]": float(torch.stack(kl).mean()),
+        "KL (nats)": float(torch.stack(kl).mean()),
         "relative squared error of f": float(torch.stack(squared).median()),
         "albedo within 3 %": float((relative.abs() < 0.03).double().mean()),
         "albedo off by, 95th percentile": float(relative.abs().quantile(0.95)),
