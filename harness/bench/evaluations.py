@@ -96,7 +96,7 @@ def from_evaluations(network: Reflectance, wi: Tensor) -> Tensor:
 def from_walks(network: PureSample, u: Tensor, wi: Tensor, channel: int) -> Tensor:
     """The same [CELLS^2] of one channel, by density and albedo."""
     albedo = network.albedo(network.features(u[None]), wi[None])[0, channel].double()
-    return albedo * cell_masses(network, u, wi, channel, cell_points())
+    return albedo * cell_masses(network, u, wi, channel, cell_points())[0]
 
 
 def errors(held: Held, masses: list[Tensor], albedo: Tensor) -> dict[str, float]:
