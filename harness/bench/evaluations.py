@@ -1,10 +1,10 @@
 """Materials learned from walks beside a network learned from evaluations, in equal time.
 
-    python -m harness.bench.evaluations FILE.safetensors [--seconds S]
+    python -m harness.bench.evaluations MATERIAL [--seconds S]
 
-The surface is the one that the material of FILE was learned from. The other network answers f at
-two directions and is fitted to path-traced f at random pairs, as NeuMIP's is. Seconds are this
-process's processor time, tracing and fitting; by default those that FILE's record has, which are
+MATERIAL is a shipped one or a file; the surface is the one that it was learned from. The other
+network answers f at two directions and is fitted to path-traced f at random pairs, as NeuMIP's is.
+Seconds are this process's processor time, tracing and fitting; by default those that its record has, which are
 the wall's. Errors are of both beside the same particles, which neither was learned from.
 """
 
@@ -27,6 +27,7 @@ from harness.materials.puresample.network import CHANNELS, PureSample
 from harness.microgeometry.walks.evaluation import evaluate
 from harness.microgeometry.walks.surface import WalkedSurface
 from harness.nets.mlp import MLP
+from harness.training import kinds
 from harness.training.puresample import sources
 from harness.training.puresample.quality import CELLS, Held, cell_masses, cell_points
 
@@ -167,10 +168,10 @@ def compared(file: Path, seconds: float | None, seed: int = 1) -> Table:
 def main() -> None:
     """The command."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("file", type=Path, help="a material learned from walks")
+    parser.add_argument("material", help="one learned from walks: a name or a file")
     parser.add_argument("--seconds", type=float, help="of the processor; else as in its record")
     options = parser.parse_args()
-    Console(width=110).print(compared(options.file, options.seconds))
+    Console(width=110).print(compared(kinds.file_of(options.material), options.seconds))
 
 
 if __name__ == "__main__":
