@@ -4,8 +4,9 @@
 
 MATERIAL is a shipped one or a file; the surface is the one that it was learned from. The other
 network answers f at two directions and is fitted to path-traced f at random pairs, as NeuMIP's is.
-Seconds are this process's processor time, tracing and fitting; by default those that its record has, which are
-the wall's. Errors are of both beside the same particles, which neither was learned from.
+Seconds are this process's processor time, tracing and fitting; by default those that the record of
+the material has, which are the wall's. Errors are of both beside the same particles, which neither
+was learned from.
 """
 
 from __future__ import annotations
