@@ -103,7 +103,7 @@ def test_the_truth_has_no_error_and_an_error_is_told_from_noise(monkeypatch):
     assert right["albedo within 3 %"] == 1
     twice = evaluations.errors(held, [2 * s for s in share], 2 * albedo)
     assert twice["relative squared error of f"] == pytest.approx(1, abs=0.05)
-    assert twice["KL (nats)"] == pytest.approx(right["KL [nats]"], abs=1e-9)
+    assert twice["KL (nats)"] == pytest.approx(right["KL (nats)"], abs=1e-9)
     assert twice["mean albedo off by"] == pytest.approx(1, rel=1e-6)
 
 
