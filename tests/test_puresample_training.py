@@ -13,6 +13,7 @@ from scipy import stats
 from typer.testing import CliRunner
 
 from harness.cli.main import build
+from harness.core.protocol.disk import disk_to_square
 from harness.core.protocol.errors import InputError
 from harness.materials.puresample import files, storage
 from harness.materials.puresample.architecture import Architecture
@@ -217,8 +218,31 @@ def test_divergence_is_that_of_known_densities():
         count[i] = torch.bincount(index, minlength=len(p))
     held = quality.Conditions(torch.zeros(3, 2), torch.zeros(3, 2), torch.arange(3), count)
     with torch.no_grad():
-        found = quality.divergences(network, held)
+        found, lost = quality.divergences(network, held)
     assert float(found.mean()) == pytest.approx(expected, abs=2e-3)
+    assert float(lost.max()) == 0
+
+
+def test_directions_without_a_density_are_counted(monkeypatch):
+    """Those of every other cell have none: half of them, and the other cells are as they were."""
+    network, nowhere = PureSample(Architecture(base="normal", width=8, layers=1)), torch.zeros(2)
+    at = quality.cell_points()
+    with torch.no_grad():
+        whole, none = quality.cell_masses(network, nowhere, nowhere, 0, at)
+    assert float(none) == 0
+    known = PureSample.log_density
+
+    def torn(self, features, channel, wi, wo):
+        index = (disk_to_square(wo.double()) * quality.CELLS).long()[:, 0]
+        return torch.where(index % 2 == 0, torch.nan, known(self, features, channel, wi, wo))
+
+    monkeypatch.setattr(PureSample, "log_density", torn)
+    with torch.no_grad():
+        mass, lost = quality.cell_masses(network, nowhere, nowhere, 0, at)
+    assert float(lost) == 0.5
+    rows = mass.view(quality.CELLS, -1)
+    assert rows[::2].abs().max() == 0
+    assert torch.equal(rows[1::2], whole.view(quality.CELLS, -1)[1::2])
 
 
 def test_total_variation_smooths_the_texture():

@@ -1,11 +1,12 @@
 """Materials learned from walks beside a network learned from evaluations, in equal time.
 
-    python -m harness.bench.evaluations FILE.safetensors [--seconds S]
+    python -m harness.bench.evaluations MATERIAL [--seconds S]
 
-The surface is the one that the material of FILE was learned from. The other network answers f at
-two directions and is fitted to path-traced f at random pairs, as NeuMIP's is. Seconds are this
-process's processor time, tracing and fitting; by default those that FILE's record has, which are
-the wall's. Errors are of both beside the same particles, which neither was learned from.
+MATERIAL is a shipped one or a file; the surface is the one that it was learned from. The other
+network answers f at two directions and is fitted to path-traced f at random pairs, as NeuMIP's is.
+Seconds are this process's processor time, tracing and fitting; by default those that the record of
+the material has, which are the wall's. Errors are of both beside the same particles, which neither
+was learned from.
 """
 
 from __future__ import annotations
@@ -27,6 +28,7 @@ from harness.materials.puresample.network import CHANNELS, PureSample
 from harness.microgeometry.walks.evaluation import evaluate
 from harness.microgeometry.walks.surface import WalkedSurface
 from harness.nets.mlp import MLP
+from harness.training import kinds
 from harness.training.puresample import sources
 from harness.training.puresample.quality import CELLS, Held, cell_masses, cell_points
 
@@ -96,7 +98,7 @@ def from_evaluations(network: Reflectance, wi: Tensor) -> Tensor:
 def from_walks(network: PureSample, u: Tensor, wi: Tensor, channel: int) -> Tensor:
     """The same [CELLS^2] of one channel, by density and albedo."""
     albedo = network.albedo(network.features(u[None]), wi[None])[0, channel].double()
-    return albedo * cell_masses(network, u, wi, channel, cell_points())
+    return albedo * cell_masses(network, u, wi, channel, cell_points())[0]
 
 
 def errors(held: Held, masses: list[Tensor], albedo: Tensor) -> dict[str, float]:
@@ -116,7 +118,7 @@ def errors(held: Held, masses: list[Tensor], albedo: Tensor) -> dict[str, float]
     known = held.survival.share.double()
     relative = (albedo / known - 1)[known > 0]
     return {
-        "KL [nats]": float(torch.stack(kl).mean()),
+        "KL (nats)": float(torch.stack(kl).mean()),
         "relative squared error of f": float(torch.stack(squared).median()),
         "albedo within 3 %": float((relative.abs() < 0.03).double().mean()),
         "albedo off by, 95th percentile": float(relative.abs().quantile(0.95)),
@@ -167,10 +169,10 @@ def compared(file: Path, seconds: float | None, seed: int = 1) -> Table:
 def main() -> None:
     """The command."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("file", type=Path, help="a material learned from walks")
+    parser.add_argument("material", help="one learned from walks: a name or a file")
     parser.add_argument("--seconds", type=float, help="of the processor; else as in its record")
     options = parser.parse_args()
-    Console(width=110).print(compared(options.file, options.seconds))
+    Console(width=110).print(compared(kinds.file_of(options.material), options.seconds))
 
 
 if __name__ == "__main__":

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -14,13 +16,33 @@ def encoded(image: np.ndarray) -> bytes:
     data = np.ascontiguousarray(image, dtype=np.float32)
     stream = core.MemoryStream()
     half = core.Bitmap(data).convert(component_format=core.Struct.Type.Float16)
-    half.write(stream, core.Bitmap.FileFormat.OpenEXR)
+    with _worker():
+        half.write(stream, core.Bitmap.FileFormat.OpenEXR)
     return stream.raw_buffer()
 
 
 def read(path: Path) -> np.ndarray:
     """An image as float32 [H, W, 3] (or [H, W, 1])."""
-    return np.array(_core().Bitmap(str(path))).astype(np.float32)
+    with _worker():
+        return np.array(_core().Bitmap(str(path))).astype(np.float32)
+
+
+@contextmanager
+def _worker() -> Iterator[None]:
+    """A thread for OpenEXR's tasks, which wait for one of Dr.Jit's pool for ever.
+
+    In a process that may use one core alone the pool has none but the caller's.
+    """
+    import drjit as dr
+
+    known = dr.thread_count()
+    if known < 2:
+        dr.set_thread_count(2)
+    try:
+        yield
+    finally:
+        if known < 2:
+            dr.set_thread_count(known)
 
 
 def _core() -> Any:
@@ -29,11 +51,6 @@ def _core() -> Any:
     Bitmaps do not depend on the variant; to choose one here would decide for the renders
     that may follow in the same process.
     """
-    import drjit
     import mitsuba
 
-    if drjit.thread_count() < 2:
-        # OpenEXR waits for Dr.Jit's workers. On one processor there is none: the caller counts as
-        # the first thread.
-        drjit.set_thread_count(2)
     return mitsuba.mitsuba_ext

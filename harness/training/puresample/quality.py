@@ -27,7 +27,9 @@ _HELD, _DIRECTIONS, _PLACES = (k << 40 for k in (11, 12, 13))
 class Quality:
     """``kl``: mean over held-out conditions (direction, channel) of KL(walks || network) in nats,
     in cells of 48^2, less the mean excess that counts of so many walks have by chance; ``kl_error``
-    its standard error over conditions, ``kl_worst`` the largest. ``albedo_within``: share of
+    its standard error over conditions, ``kl_worst`` the largest. ``lost``: share of the directions
+    asked for that have no density, since a step of the flow is not one to one there: f is not a
+    number, and a cell's mass is of its other directions. ``albedo_within``: share of
     directions and channels whose albedo is within 3 % of the walks'; ``albedo_error``: 95th
     percentile of the relative difference, ``albedo_noise`` that of the walks' standard error;
     ``albedo_bias``: of the mean albedo, relative."""
@@ -35,6 +37,7 @@ class Quality:
     kl: float
     kl_error: float
     kl_worst: float
+    lost: float
     albedo_within: float
     albedo_error: float
     albedo_noise: float
@@ -103,7 +106,7 @@ class Held:
     @torch.no_grad()
     def measure(self, network: PureSample) -> Quality:
         """The errors of ``network``, which is on the CPU."""
-        kl = divergences(network, self.conditions)
+        kl, lost = divergences(network, self.conditions)
         s = self.survival
         known, error = s.share.double(), s.error.double()
         found = network.albedo(network.features(s.u), s.wi).double()
@@ -114,6 +117,7 @@ class Held:
             kl=float(kl.mean()),
             kl_error=float(kl.std() / math.sqrt(len(kl))),
             kl_worst=float(kl.max()),
+            lost=float(lost.mean()),
             albedo_within=float((relative < 0.03).double().mean()),
             albedo_error=float(relative.quantile(0.95)),
             albedo_noise=float((error / known)[some].quantile(0.95)),
@@ -121,21 +125,23 @@ class Held:
         )
 
 
-def divergences(network: PureSample, held: Conditions) -> Tensor:
-    """KL(walks || network) [N] in nats in cells; unbiased to first order in 1 / walks.
+def divergences(network: PureSample, held: Conditions) -> tuple[Tensor, Tensor]:
+    """KL(walks || network) [N] in nats in cells; unbiased to first order in 1 / walks. And the
+    share [N] of directions without a density.
 
     The mean excess of an estimate from counts, (cells - 1) / (2 n) with those cells that were met
     (Miller 1955), is taken off. Cells blur what is narrower than they are, 0.04 of the radius.
     """
     at = cell_points()
-    found = []
+    found, lost = [], []
     for u, wi, channel, count in zip(*held, strict=True):
         p = count.double() / count.sum()
-        q = cell_masses(network, u, wi, int(channel), at)
+        q, none = cell_masses(network, u, wi, int(channel), at)
+        lost.append(none)
         met = p > 0
         kl = (p[met] * (p[met] / q[met]).log()).sum()
         found.append(kl - (int(met.sum()) - 1) / (2 * count.sum()))
-    return torch.stack(found)
+    return torch.stack(found), torch.stack(lost)
 
 
 def cell_points() -> Tensor:
@@ -146,8 +152,11 @@ def cell_points() -> Tensor:
     return square_to_disk((corner + half) / CELLS)
 
 
-def cell_masses(network: PureSample, u: Tensor, wi: Tensor, channel: int, at: Tensor) -> Tensor:
-    """Probability [CELLS^2] that the network gives each cell, by its density at the points."""
+def cell_masses(
+    network: PureSample, u: Tensor, wi: Tensor, channel: int, at: Tensor
+) -> tuple[Tensor, Tensor]:
+    """Probability [CELLS^2] that the network gives each cell, by its density at the points that
+    have one (none: zero), and the share of points that have none."""
     flat, parts = at.reshape(-1, 2), []
     features = network.features(u[None])
     for wo in flat.split(1 << 12):
@@ -155,7 +164,10 @@ def cell_masses(network: PureSample, u: Tensor, wi: Tensor, channel: int, at: Te
         of = torch.full((n,), channel)
         log = network.log_density(features.expand(n, -1), of, wi.expand(n, 2), wo)
         parts.append(log.double().exp())
-    return torch.cat(parts).view(CELLS**2, -1).mean(1) * (math.pi / CELLS**2)
+    density = torch.cat(parts).view(CELLS**2, -1)
+    there = ~density.isnan()
+    mean = torch.where(there, density, 0).sum(1) / there.sum(1).clamp(min=1)
+    return mean * (math.pi / CELLS**2), 1 - there.double().mean()
 
 
 def _cell(wo: Tensor) -> Tensor:

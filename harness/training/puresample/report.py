@@ -8,13 +8,15 @@ from rich.table import Table
 
 from harness.materials.puresample import storage
 
-COLUMNS = ("material", "form", "KL (nats)", "±", "worst KL", "albedo within 3 %", "albedo off by",
+COLUMNS = ("material", "form", "KL (nats)", "±", "worst KL", "no density",
+           "albedo within 3 %", "albedo off by",
            "mean albedo", "walks' noise", "walks", "trace", "train", "seed", "kB")  # fmt: skip
 
 
 def table(files: list[Path]) -> Table:
     """One row a file, a column where there is only one.
 
+    ``no density``: share of directions at which a step is not one to one, and f is not a number.
     ``albedo off by`` and the noise of the walks are 95th percentiles over directions and channels.
     """
     found = Table(
@@ -52,6 +54,7 @@ def cells(file: Path) -> list[str]:
         number(quality, "kl", "{:.4f}"),
         number(quality, "kl_error", "{:.4f}"),
         number(quality, "kl_worst", "{:.3f}"),
+        number(quality, "lost", "{:.2%}"),
         number(quality, "albedo_within", "{:.0%}"),
         number(quality, "albedo_error", "{:.1%}"),
         number(quality, "albedo_bias", "{:+.2%}"),
