@@ -161,8 +161,11 @@ class Reparameterised(FlowMethod):
             return forward
         u = stratified_uniforms(len(condition), budget.directions, generator, condition.device)
         own = self.from_base(self.module, condition, torch.logit(u, eps=2.0**-25))
+        # What rounds onto the rim is no direction, and has no density.
+        there = self.followed(own)
+        own = torch.where(there[..., None], own, 0)
         log_f = (target_of(self.material, condition, own) + LEAST).log()
-        return forward + (self.log_prob(condition, own) - log_f).mean()
+        return forward + (self.log_prob(condition, own) - log_f)[there].mean()
 
     def share_logit(self, net: Conditioners, condition: Tensor) -> Tensor | None:
         """See :meth:`FlowMethod.share_logit`."""

@@ -146,6 +146,25 @@ def test_likelihood_and_both_objectives_learn():
     assert losses["forward"] > 0.2 and losses["both"] > 0.4
 
 
+@pytest.mark.parametrize(("shift", "some_round"), [(0.0, False), (14.0, True)])
+def test_reverse_loss_of_samples_that_round_onto_the_rim(shift, some_round):
+    """They have no density; the others' loss and its gradient stay finite."""
+    method = registry.make("reparameterised", objective="both")
+    method.bind(TILTED)
+    n = spline.outputs(method.bins)
+    with torch.no_grad():
+        method.module.first.layers[-1].bias[n + 2] = shift
+    condition = TILTED.conditions(64, rng(0))
+    z = torch.logit(stratified_uniforms(64, 32, rng(1), "cpu"), eps=2.0**-25)
+    there = method.followed(method.from_base(method.module, condition, z))
+    assert there.any() and bool((~there).any()) is some_round
+    targets = Targets.build(TILTED, BUDGET, rng(2))
+    loss = method.loss(targets, BUDGET, rng(3))
+    loss.backward()
+    assert loss.isfinite()
+    assert all(p.grad.isfinite().all() for p in method.module.parameters() if p.grad is not None)
+
+
 def test_both_objectives_need_a_gradient():
     walks = materials.make("ggx-conductor")
     method = registry.make("reparameterised", objective="both")
