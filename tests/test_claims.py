@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -66,6 +67,30 @@ def test_numbers_are_those_of_the_tables(reference: Path):
     assert f"-->{number.replace('×', '')} {interval}" in whole
     rows = [line for line in written.splitlines() if line.startswith("| `")]
     assert len(rows) == len(results.methods)
+
+
+def test_means_of_few_materials_and_what_has_no_number(reference: Path, monkeypatch):
+    """How many materials stands beside a mean; a dash for no number; no row without any."""
+    made = claims.source(reference / "made")
+    known = type(made).cell
+    few = "mean over 2 of 3 materials only; without wool (not resolved)"
+
+    def cell(self, table: str, section: str, row: str, column: str):
+        found = known(self, table, section, row, column)
+        if column == "cosine":
+            return replace(found, warning=few)
+        missing = column == "two-lobe" or (column, table) == ("improved-baseline", "equal-spp")
+        return replace(found, missing="not resolved") if missing else found
+
+    monkeypatch.setattr(type(made), "cell", cell)
+    rows = claims.renewed(text(), reference).splitlines()
+    (cosine,) = (line for line in rows if line.startswith("| `cosine`"))
+    assert cosine.count(" (2 of 3)") == 2 and "‡" not in cosine
+    assert not any("two-lobe" in line for line in rows if line.startswith("| `"))
+    (baseline,) = (line for line in rows if line.startswith("| `improved-baseline`"))
+    assert baseline.endswith("| – |")
+    with pytest.raises(InputError, match="two-lobe: not resolved"):
+        claims.renewed(text(claim=CELL.replace("cosine", "two-lobe")), reference)
 
 
 def test_a_number_that_differs_is_found(reference: Path):

@@ -37,6 +37,9 @@ from harness.store.frame import STALE
 
 REFERENCE = ROOT / "results" / "reference"
 FILES = ("README.md", "docs/*.md")
+NONE = "–"
+"""In a table, where there is no number."""
+_FEW = re.compile(r"mean over (\d+ of \d+) materials only")
 _STALE = " (stale)"
 _ALL_STALE = (
     "All of these are stale: measured with code that has changed since, as\n"
@@ -72,16 +75,16 @@ class Source:
         return self._tables[name]
 
     def cell(self, table: str, section: str, row: str, column: str) -> Cell:
-        """One cell; what is not there is refused with the nearest name."""
+        """One cell; what is not there is refused with the nearest name.
+
+        It may have no number: see :attr:`Cell.missing`.
+        """
         found = self.table(table)
         sections = {s.title: s for s in found.sections}
         rows = {r.label: r for r in _one(section, sections, "section").rows}
         columns = {name: i for i, name in enumerate(found.columns)}
         place = _one(column, columns, "column")
-        cell = _one(row, rows, "row").cells[place]
-        if cell.missing:
-            raise InputError(f"{table} | {section} | {row} | {column}: {cell.missing}")
-        return cell
+        return _one(row, rows, "row").cells[place]
 
     def stale(self, section: str, row: str, column: str) -> bool:
         """Whether a trial of the cell's method, material and scene does not hold any more."""
@@ -99,13 +102,19 @@ class Source:
     def said(self, words: list[str], interval: bool, escaped: bool = False) -> str:
         """A cell as text: number, interval, and whether it is stale.
 
-        ``escaped``, for a table in Markdown, has the mark of a number with a note, too.
+        ``escaped``, for a table in Markdown, has the mark of a number with a note, too, or of how
+        many materials a mean is; and a dash where there is no number. Elsewhere that is refused.
         """
         cell = self.cell(*words)
+        if cell.missing and escaped:
+            return NONE
+        if cell.missing:
+            raise InputError(f"{' | '.join(words)}: {cell.missing}")
         number, within = cell.parts
         old = self.stale(*words[1:])
         if escaped and cell.warning and not old:
-            number += " ‡"
+            few = _FEW.match(cell.warning)
+            number += f" ({few[1]})" if few else " ‡"
         if interval and within:
             number += " " + (within.replace("[", r"\[").replace("]", r"\]") if escaped else within)
         return number + (_STALE if old else "")
@@ -174,12 +183,14 @@ def _block(claim: str, reference: Path) -> str:
         method: [
             found.said([table, section, at, method], True, escaped=True)
             if method in found.table(table).columns
-            else ""
+            else NONE
             for table, section, at in places
         ]
         for method in methods
     }
-    if old := all(cell.endswith(_STALE) for cells in rows.values() for cell in cells if cell):
+    rows = {method: cells for method, cells in rows.items() if set(cells) != {NONE}}
+    numbers = [cell for cells in rows.values() for cell in cells if cell != NONE]
+    if old := all(cell.endswith(_STALE) for cell in numbers):
         rows = {method: [c.removesuffix(_STALE) for c in cells] for method, cells in rows.items()}
     lines += [f"| `{method}` | {' | '.join(cells)} |" for method, cells in rows.items()]
     if old:

@@ -1,7 +1,9 @@
 """``python -m harness.store.publish FROM TO``: a compact copy of results, to be kept with the code.
 
 Planned trials with their records and raw arrays, and the images of some materials; not the states
-of fitted methods, which are large and can be fitted again, nor trials of earlier plans.
+of fitted methods, which are large and can be fitted again, nor trials of earlier plans, nor what
+takes much room and is shown or measured otherwise: the images of ``pictures``, the points of
+``constant-light``. Long arrays are kept to four digits.
 """
 
 from __future__ import annotations
@@ -14,20 +16,27 @@ from collections.abc import Collection
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+
 from harness.store import code, files
 from harness.store.database import FILE
 from harness.store.folder import ResultsFolder
 from harness.store.lock import LOCK, claim, locked
 from harness.store.stored import STATE
 
-_PICTURES = ("target", "pdf")
+_PICTURES = ("target", "pdf", "samples")
 """Arrays of the measure ``slices`` that are drawn and that no number is made of."""
+_LEFT_OUT = {"pictures": "images", "constant-light": "arrays"}
+"""By measure, what would be most of the copy: 300 KB an image, 10 KB a trial."""
+_LONG, _BITS = 32, 9
+"""Numbers of an array that is long; bits of their significands, of 23, that are rounded away."""
 
 
 def publish(source: Path, target: Path, pictured: Collection[str] = ()) -> int:
     """Copy the planned trials of ``source`` to ``target``; how many there are.
 
-    Images, and the densities that are drawn, are those of the ``pictured`` materials.
+    Images are those of what is ``pictured``, MATERIAL or MATERIAL/SCENE; the densities that are
+    drawn are those of its materials.
 
     Results in ``target`` are replaced once the copy is whole; what else is there stays.
 
@@ -63,15 +72,19 @@ def _copy(source: Path, fresh: Path, pictured: Collection[str]) -> int:
             t for k in dict.fromkeys(r["trial"] for r in plan["trials"]) if (t := trials.get(k))
         ]
         for trial in wanted:
-            shown = trial.labels["material"] in pictured
-            kept = {n: d for n, d in trial.files.items() if shown and n != STATE}
+            material, scene = (trial.labels[label] for label in ("material", "scene"))
+            shown = material in {name.partition("/")[0] for name in pictured}
+            without = _LEFT_OUT.get(trial.labels["measure"])
+            imaged = {material, f"{material}/{scene}"} & set(pictured) and without != "images"
+            kept = {n: d for n, d in trial.files.items() if imaged and n != STATE}
             for name, digest in kept.items():
                 place = files.place(fresh, name, digest)
                 place.parent.mkdir(exist_ok=True)
                 shutil.copyfile(files.checked(source, name, digest), place)
-            arrays = old.arrays(trial.hash)
+            arrays = {} if without == "arrays" else old.arrays(trial.hash)
             if trial.labels["measure"] == "slices" and not shown:
                 arrays = {n: a for n, a in arrays.items() if n not in _PICTURES}
+            arrays = {name: rounded(array) for name, array in arrays.items()}
             new.save(replace(trial, folder=fresh), arrays, kept)
         digests = {digest for trial in wanted for digest in trial.parts.values()}
         code.note_units(new, {d: units for d in digests if (units := code.units(old, d))})
@@ -85,12 +98,29 @@ def _copy(source: Path, fresh: Path, pictured: Collection[str]) -> int:
     return len(wanted)
 
 
+def rounded(array: np.ndarray) -> np.ndarray:
+    """A long array of floats to the nearest numbers of 15 bits, relative errors below 2^-15.
+
+    Of single precision, where the numbers have its range; everything else as it is.
+    """
+    if array.size < _LONG or array.dtype not in (np.float32, np.float64):
+        return array
+    size, limits = np.abs(array[np.isfinite(array) & (array != 0)]), np.finfo(np.float32)
+    if size.size and not limits.tiny <= size.min() <= size.max() <= limits.max / 2:
+        return array
+    single = array.astype(np.float32)
+    bits = (single.view(np.uint32) + (1 << (_BITS - 1))) & ~np.uint32((1 << _BITS) - 1)
+    return np.where(np.isfinite(single), bits.view(np.float32), single)
+
+
 def main() -> None:
     """The command line."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("source", type=Path, help="a folder that harness run wrote")
     parser.add_argument("target", type=Path, help="where the copy goes")
-    parser.add_argument("--pictures", default="", help="materials whose images go along: A,B")
+    parser.add_argument(
+        "--pictures", default="", help="whose images go along: MATERIAL or MATERIAL/SCENE, as A,B"
+    )
     arguments = parser.parse_args()
     pictured = [name for name in arguments.pictures.split(",") if name]
     count = publish(arguments.source, arguments.target, pictured)

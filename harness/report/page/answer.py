@@ -85,6 +85,8 @@ def _which(results: Results, contests: list[Contest]) -> str:
         if contests[0].table.name == "table2"
         else f"the error of {than} at equal samples, inverted"
     )
+    if any("materials only" in cell.warning for each in contests for _, cell in each.ranked):
+        on += ", or those of them that are resolved"
     mean = f"geometric mean{'s' * (len(contests) > 1)} {on}" if over > 1 else on
     if len({name for name, _ in firsts}) == 1:
         said = ", ".join(
