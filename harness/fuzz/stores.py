@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 import sqlite3
+import weakref
 import zlib
 from collections.abc import Callable
 from contextlib import closing
@@ -37,9 +38,7 @@ class Stores(Fuzz):
         synthetic.make(self.whole, image=_picture())
         self.rows = _rows(Results.load(self.whole))
         self.bomb = zlib.compress(bytes(_BOMB), 9)
-
-    def __del__(self) -> None:
-        shutil.rmtree(self.whole, ignore_errors=True)
+        weakref.finalize(self, shutil.rmtree, self.whole, ignore_errors=True)
 
     def attempt(self, rng: Random) -> None:
         """See :class:`Fuzz`."""
