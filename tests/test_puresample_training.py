@@ -243,6 +243,12 @@ def test_directions_without_a_density_are_counted(monkeypatch):
     rows = mass.view(quality.CELLS, -1)
     assert rows[::2].abs().max() == 0
     assert torch.equal(rows[1::2], whole.view(quality.CELLS, -1)[1::2])
+    met = torch.zeros(1, quality.CELLS**2).index_fill(1, torch.tensor([quality.CELLS]), 1.0)
+    held = quality.Conditions(nowhere[None], nowhere[None], torch.zeros(1).long(), met)
+    with torch.no_grad():
+        found, lost = quality.divergences(network, held)
+    assert float(lost) == 0.5
+    assert found.isnan().all(), "though the one cell that walks met has a mass"
 
 
 def test_total_variation_smooths_the_texture():

@@ -29,7 +29,7 @@ class Quality:
     in cells of 48^2, less the mean excess that counts of so many walks have by chance; ``kl_error``
     its standard error over conditions, ``kl_worst`` the largest. ``lost``: share of the directions
     asked for that have no density, since a step of the flow is not one to one there: f is not a
-    number, and a cell's mass is of its other directions. ``albedo_within``: share of
+    number, and nor is any divergence then. ``albedo_within``: share of
     directions and channels whose albedo is within 3 % of the walks'; ``albedo_error``: 95th
     percentile of the relative difference, ``albedo_noise`` that of the walks' standard error;
     ``albedo_bias``: of the mean albedo, relative."""
@@ -127,7 +127,7 @@ class Held:
 
 def divergences(network: PureSample, held: Conditions) -> tuple[Tensor, Tensor]:
     """KL(walks || network) [N] in nats in cells; unbiased to first order in 1 / walks. And the
-    share [N] of directions without a density.
+    share [N] of directions without a density: where there are any, the KL is not a number.
 
     The mean excess of an estimate from counts, (cells - 1) / (2 n) with those cells that were met
     (Miller 1955), is taken off. Cells blur what is narrower than they are, 0.04 of the radius.
@@ -139,7 +139,7 @@ def divergences(network: PureSample, held: Conditions) -> tuple[Tensor, Tensor]:
         q, none = cell_masses(network, u, wi, int(channel), at)
         lost.append(none)
         met = p > 0
-        kl = (p[met] * (p[met] / q[met]).log()).sum()
+        kl = (p[met] * (p[met] / q[met]).log()).sum() if none == 0 else p.new_tensor(math.nan)
         found.append(kl - (int(met.sum()) - 1) / (2 * count.sum()))
     return torch.stack(found), torch.stack(lost)
 
