@@ -31,3 +31,16 @@ def test_scenes_without_a_number_are_left_out(tmp_path: Path, missing: tuple[str
     else:
         assert said.startswith("Use two-lobe")
         assert ("uniform-sphere" in said) == ("uniform-sphere" not in missing)
+
+
+@pytest.mark.parametrize("warning", ["", "mean over 8 of 12 materials only; without bulkhead"])
+def test_means_of_fewer_materials_are_told_from_those_of_all(tmp_path: Path, warning: str):
+    folder = Made(not_run=MEASURES, scenes=SCENES).write(tmp_path / "results")
+    results = reports.load(folder).results
+    assert len(results.materials) > 1
+    cells = [Cell(1.0), Cell(2.5, 2.0, 3.0, warning=warning)]
+    sections = [Section(scene, [Row("geometric mean", cells, summary=True)]) for scene in SCENES]
+    columns = ["improved-baseline", "two-lobe"]
+    table = Table("table2", "Speed-up", "The caption.", "", columns, sections, best="high")
+    said = answer(results, [table])["sentences"][0]
+    assert ("or those of them that are resolved" in said) is bool(warning)
