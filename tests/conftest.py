@@ -47,9 +47,9 @@ def in_this_process() -> None:
 
     And they plan anew, whatever was found before: code may be replaced by a test.
     """
-    from harness.runner import executor, settled
+    from harness.runner import answer_cache, executor
 
-    executor.default, settled.enabled = executor.INLINE, False
+    executor.default, answer_cache.enabled = executor.INLINE, False
 
 
 @pytest.fixture

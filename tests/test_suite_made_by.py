@@ -1,4 +1,4 @@
-"""Materials of a suite that a command makes first: left out, and said so, until they are there."""
+"""Materials of a suite that a command makes first: left out, a line each, until they are there."""
 
 from __future__ import annotations
 

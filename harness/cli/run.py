@@ -54,17 +54,17 @@ def register(app: typer.Typer) -> None:
         device: Device = "cpu",
     ) -> None:
         """Carry out what a suite asks for and is not stored yet, then print its tables."""
-        from harness.runner.settled import Settled
+        from harness.runner.answer_cache import AnswerCache
 
         asked = [profile, only, scheduler, workers, trial_seconds, trial_memory, retry, refit]
         command = {"run": [*asked, executor, dry_run, device]}
-        settled = Settled(command, suite, out)
+        answers = AnswerCache(command, suite, out)
         if executor == "dask" or device != "cpu":
-            settled.never()  # workers elsewhere, or a GPU, are not looked at
-        if said := settled.said():
+            answers.disable()  # workers elsewhere, or a GPU, are not looked at
+        if said := answers.find():
             print(said["text"], end="", flush=True)
             if not dry_run:
-                report(settled.results, said["allowed"])
+                report(answers.results, said["allowed"])
             raise typer.Exit(0)
 
         from harness.core.protocol.errors import InputError
@@ -85,7 +85,7 @@ def register(app: typer.Typer) -> None:
 
             made = Cluster(connect(scheduler, workers), device, limits)
             machine = made.machine()
-        plan = planned(loaded, profile, device, machine, settled)
+        plan = planned(loaded, profile, device, machine, answers)
         results = out or Path("results") / plan.suite
         options = Options(only, made or executor, again, dry_run, refit, workers, limits)
-        raise typer.Exit(run_and_report(plan, results, options, settled))
+        raise typer.Exit(run_and_report(plan, results, options, answers))

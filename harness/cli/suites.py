@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 if TYPE_CHECKING:
+    from harness.runner.answer_cache import AnswerCache
     from harness.runner.run import Options
-    from harness.runner.settled import Settled
     from harness.suite.load import Loaded
     from harness.suite.plan import Plan
 
@@ -42,7 +42,7 @@ def planned(
     profile: str | None,
     device: str,
     on: dict[str, Any] | None = None,
-    settled: Settled | None = None,
+    answers: AnswerCache | None = None,
 ) -> Plan:
     """The suite's trials, on a machine that can run them; times are of the machine ``on``, by
     default of this one."""
@@ -54,17 +54,17 @@ def planned(
     for said in dict.fromkeys(map(shipped.damaged, plan.trials)):
         if said:
             print(said, file=sys.stderr, flush=True)
-            if settled is not None:
-                settled.never()
+            if answers is not None:
+                answers.disable()
     return plan
 
 
 def run_and_report(
-    plan: Plan, results: Path, options: Options, settled: Settled | None = None
+    plan: Plan, results: Path, options: Options, answers: AnswerCache | None = None
 ) -> int:
     """Carry out what is not stored, then write the report and print its tables; the exit status.
 
-    If there was nothing to carry out, that is kept in ``settled``.
+    If there was nothing to carry out, that is kept in ``answers``.
     """
     from harness.core.terminal import Screen
     from harness.runner.only import parse
@@ -78,8 +78,8 @@ def run_and_report(
     allowed = {key: sorted(labels) for key, labels in parse(options.only, plan).allowed.items()}
     if not options.dry_run:
         report(results, allowed)
-    if settled is not None and idle and status == 0:
-        settled.keep({"text": text, "allowed": allowed})
+    if answers is not None and idle and status == 0:
+        answers.keep({"text": text, "allowed": allowed})
     return status
 
 

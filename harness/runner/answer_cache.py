@@ -1,4 +1,4 @@
-"""What a command said that had nothing to do, kept for when it is given again.
+"""Output of commands that had nothing to do, kept for when they are given again.
 
 To plan a suite, torch and Mitsuba are imported, which takes seconds; to find out that nothing has
 changed since, a tenth of one. The answer is kept in the user's cache folder under the digest of
@@ -28,7 +28,7 @@ from harness.core.cache_folder import cache_folder
 from harness.core.compiled.build import compiler
 from harness.core.paths import ROOT, SUITES
 
-FOLDER = "settled"
+FOLDER = "answers"
 _MOST = 200
 """Answers that are kept; with more, the oldest go."""
 _NAME = re.compile(r"[\w ()=,+-]*")
@@ -39,13 +39,20 @@ enabled = True
 """Whether answers are kept and given."""
 
 
-class Settled:
+class AnswerCache:
     """Answers of one command about one suite and one results folder."""
 
-    def __init__(self, command: Mapping[str, Any], suite: str, out: Path | None = None):
+    def __init__(
+        self,
+        command: Mapping[str, Any],
+        suite: str,
+        out: Path | None = None,
+        stored: bool = True,
+    ):
         """``command`` is its name and options, as JSON data; ``out`` a results folder, by default
-        that of the suite."""
+        that of the suite. Without ``stored`` the answer does not depend on results."""
         self._package, self._made_of, self.results = "", None, out or Path("results")
+        self._stored = stored
         if enabled:
             with contextlib.suppress(OSError, ValueError):
                 self._look(command, suite, out)
@@ -66,12 +73,12 @@ class Settled:
         ]
         self._made_of = hashlib.sha256(json.dumps(about).encode()).hexdigest()
 
-    def never(self) -> None:
-        """Do not keep what is said."""
+    def disable(self) -> None:
+        """Neither keep nor find."""
         self._made_of = None
 
-    def said(self) -> dict[str, Any] | None:
-        """What :meth:`keep` was given where all was as it is now; None if nothing was."""
+    def find(self) -> dict[str, Any] | None:
+        """What :meth:`keep` was given where all was as it is now; None if nothing was kept."""
         if self._made_of is None:
             return None
         try:
@@ -97,7 +104,9 @@ class Settled:
                 old.unlink()
 
     def _file(self) -> Path:
-        whole = [self._made_of, str(self.results), *_contents(_stored(self.results))]
+        whole = [self._made_of]
+        if self._stored:
+            whole += [str(self.results), *_contents(_stored(self.results))]
         digest = hashlib.sha256(json.dumps(whole).encode()).hexdigest()[:32]
         return cache_folder() / FOLDER / f"{digest}.json"
 
