@@ -2,28 +2,30 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from harness.analysis.integral import variance_of
 from harness.analysis.pooling import Pooled
-from harness.stats.variance import RESOLVED
+from harness.stats.variance import RESOLVED, contradict
 from harness.store.stored import Stored
-
-WORTH = 1.1
-"""Ends of an integral that are closer are taken, whatever the renders say."""
 
 
 def preferred(exact: Stored | None, rendered: Pooled | None) -> Pooled | None:
-    """The integral's variance where it is resolved and not the wider one, or that of renders."""
+    """The integral's variance where it is resolved, or that of renders.
+
+    Where renders with a light tail say something else, by more than three standard errors of both,
+    ``doubt`` has it.
+    """
     if exact is None or "sampler" not in exact.arrays:
         return rendered
     integral = variance_of(exact.arrays)
     found = integral.total
     if found.log is None or found.tail not in RESOLVED:
         return rendered
-    if rendered is not None and found.log.factor > max(WORTH, rendered.variance_factor):
-        return rendered
-    pixels = np.ones(integral.points.shape[1])
     spp = 0.0 if rendered is None else rendered.spp
+    doubt = ""
+    if rendered is not None and rendered.variance.tail in RESOLVED:
+        other = rendered.variance
+        if other.log is not None and contradict(found, other):
+            low, high = other.log.interval[1:]
+            doubt = f"integral {found.value:.3g}, renders {other.value:.3g} [{low:.3g}, {high:.3g}]"
     # No samples of a batch: such points pair with no renders.
-    return Pooled(found, spp, integral.points, pixels, batch_spp=0, exact=True)
+    return Pooled(found, spp, integral.points, integral.pixels, 0, exact=True, doubt=doubt)

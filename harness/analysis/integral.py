@@ -1,4 +1,4 @@
-"""The variance of one sample of a pixel in constant light, from integrals at its points."""
+"""The variance of one sample of a pixel in constant light, from integrals over its points."""
 
 from __future__ import annotations
 
@@ -9,53 +9,65 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from harness.stats.distributions import t_quantile
 from harness.stats.intervals import Interval
-from harness.stats.log_interval import Z95, LogInterval
-from harness.stats.variance import RESOLVED, Deviations, Variance, diagnosed
+from harness.stats.log_interval import Z95
+from harness.stats.variance import Deviations, Variance, diagnosed
 
 
 @dataclass(frozen=True)
 class Integral:
-    """``total`` variance, averaged over pixels; ``footprint``, the part of every sampler."""
+    """``total`` variance, averaged over pixels; ``footprint``, the part of every sampler.
+
+    ``points`` [2, G] are means of the total over groups of ``pixels`` [G], by two halves whose
+    points and directions are the same for all methods. ``power`` is the mean squared luminance.
+    """
 
     total: Variance
     footprint: Interval
     points: NDArray
-    """The same at both points of every pixel [2, P]."""
+    pixels: NDArray
+    power: float
 
 
 def variance_of(arrays: Mapping[str, NDArray]) -> Integral:
     """Of the arrays of :class:`harness.measures.constant_light.ConstantLight`.
 
-    The part of the sampler has the interval of two points in each pixel, with the tail of
-    their differences; that of the footprint, half the squared difference of two albedos, the
-    normal one over pixels; it may come out a little below zero.
+    The total has the interval of the pixels' two halves, with the tail of their differences; the
+    footprint, whose directions are light-tailed, Student's over the groups' differences. It may
+    come out a little below zero.
     """
     scale = float(arrays["radiance"]) ** 2
+    if "albedo" in arrays:
+        return _of_older(arrays, scale)
+    pixels = np.asarray(arrays["pixels"], float)
+    weight = pixels / pixels.sum()
+    footprint = scale * np.asarray(arrays["footprint"], float)
+    points = scale * np.asarray(arrays["sampler"], float) + footprint
+    one = Deviations.unpacked(arrays["deviations"])  # for radiance one
+    kept = replace(
+        one, largest=scale * one.largest, square=scale**2 * one.square, error=scale * one.error
+    )
+    found = diagnosed(float((points.mean(0) * weight).sum()), kept)
+    part = footprint.mean(0)
+    value = float((part * weight).sum())
+    error = float(np.sqrt((np.square(weight * (footprint[0] - footprint[1]) / 2)).sum()))
+    half = float(t_quantile(0.975, len(pixels))) * error
+    power = scale * float(arrays["energy"])
+    return Integral(found, Interval(value, value - half, value + half), points, pixels, power)
+
+
+def _of_older(arrays: Mapping[str, NDArray], scale: float) -> Integral:
+    """Of a store that has the variance at two points of each pixel [2, P], and albedos."""
     sampler = scale * np.asarray(arrays["sampler"], float)
     albedo = np.asarray(arrays["albedo"], float)
     # Of differences by two sets of directions: no noise is squared.
     off = albedo[0] - albedo[1]
     halves = scale * off[0] * off[1] / 2
+    points = sampler + halves
     error = float(halves.std(ddof=1) / math.sqrt(len(halves)))
     mean = float(halves.mean())
+    found = diagnosed(float(points.mean()), Deviations.of(points))
+    power = scale * float(np.square(albedo.mean((0, 1))).mean())
     footprint = Interval(mean, mean - Z95 * error, mean + Z95 * error)
-    points = sampler + halves
-    found = diagnosed(float(sampler.mean()), Deviations.of(sampler))
-    value = found.value + mean
-    if found.log is None:
-        if not value > 0:
-            return Integral(replace(found, value=value), footprint, points)
-        # An exact sampler: what is left is the footprint's alone.
-        half = Z95 * math.hypot(error, Deviations.of(sampler).error)
-        if not value > half:
-            return Integral(replace(found, value=value), footprint, points)
-        log = LogInterval.between(value, value - half, value + half)
-        return Integral(Variance(value, log, "light"), footprint, points)
-    _, low, high = found.log.interval
-    low = value - math.hypot(found.value - low, Z95 * error)
-    high = value + math.hypot(high - found.value, Z95 * error)
-    if found.tail not in RESOLVED:
-        high = math.inf
-    log = LogInterval.between(value, max(low, 0.0), high)
-    return Integral(replace(found, value=value, log=log), footprint, points)
+    return Integral(found, footprint, points, np.ones(points.shape[1]), power)

@@ -42,18 +42,14 @@ class Pooled:
     blocks: NDArray | None = None
     """Of the renders of equal samples, by block [B, G]; ``pixels`` [G] are theirs.
 
-    Of an integral, of two points of every pixel [2, P], the same for all methods.
+    Of an integral, of its two halves [2, G], whose points are the same for all methods.
     """
     pixels: NDArray | None = None
     batch_spp: int = 0
     exact: bool = False
     """Whether the variance is an integral."""
-
-    @property
-    def variance_factor(self) -> float:
-        """Upper over lower end of the variance; infinite where it is not resolved."""
-        known = self.variance.log is not None and self.variance.tail in RESOLVED
-        return self.variance.log.factor if known else math.inf
+    doubt: str = ""
+    """What else was found, where renders contradict the integral."""
 
 
 @dataclass(frozen=True)
@@ -123,9 +119,11 @@ def variance_ratio(base: Pooled, method: Pooled) -> Factor | None:
     pair = _paired(base, method)
     light = base.variance.tail == method.variance.tail == "light"
     if pair is not None and (pair.same or (light and pair.correlation > CORRELATED)):
-        return Factor(pair.ratio, True, exact=base.exact and method.exact)
+        said = "; ".join(_doubts(base, method))
+        return Factor(pair.ratio, True, said, exact=base.exact and method.exact)
     ratio = base.variance.log - method.variance.log
     notes = [_note("the baseline's", base.variance), _note("its", method.variance)]
+    notes += _doubts(base, method)
     resolved = all(one.variance.tail != "not resolved" for one in (base, method))
     resolved &= ratio.factor <= WIDEST
     heavy = "heavy" in (base.variance.tail, method.variance.tail)
@@ -150,6 +148,12 @@ def _note(whose: str, variance: Variance) -> str:
         return ""
     why = f" ({variance.why})" if variance.why else ""
     return f"{variance.tail}: {whose} variance{why}"
+
+
+def _doubts(base: Pooled, method: Pooled) -> list[str]:
+    """Of integrals that renders contradict."""
+    named = (("the baseline's", base.doubt), ("its", method.doubt))
+    return [f"renders contradict {whose} variance: {doubt}" for whose, doubt in named if doubt]
 
 
 def _mean(arrays: Arrays) -> float:

@@ -161,14 +161,14 @@ def confirmed(plain: Variance, other: Variance | None) -> Variance:
         if not other.log.factor <= KNOWN:
             return plain
         narrower = other.log.factor < plain.log.factor
-        return other if _contradict(plain, other) or narrower else plain
+        return other if contradict(plain, other) or narrower else plain
     if plain.tail in RESOLVED and other.log.interval.low > plain.log.interval.high:
         why = "samples that are not the method's find a tail that its own do not meet"
         return replace(other, tail="not resolved", why=why)
     return plain
 
 
-def _contradict(plain: Variance, other: Variance) -> bool:
+def contradict(plain: Variance, other: Variance) -> bool:
     """Whether the two are more than three standard errors apart."""
     first, second = plain.log.interval, other.log.interval
     if second.value < first.value:

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-
 from harness.analysis.integral import variance_of
 from harness.core.record import Numbers, Raw, Record
 
@@ -19,9 +17,8 @@ def numbers(raw: Raw) -> Numbers:
         low, high = total.log.interval[1:]
         high = high if math.isfinite(high) else math.nan
         records = [Record("variance", total.value, low, high, "radiance^2")]
-    power = float(np.square(raw.floats("albedo").mean((0, 1))).mean()) * raw.value("radiance") ** 2
-    if power > 0:
-        records.append(Record("relative-variance", total.value / power, unit="1"))
+    if found.power > 0:
+        records.append(Record("relative-variance", total.value / found.power, unit="1"))
     records.append(Record("footprint-variance", *found.footprint, "radiance^2"))
     if total.value > 0:
         share = (v / total.value for v in found.footprint)

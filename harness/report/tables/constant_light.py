@@ -41,9 +41,10 @@ def constant_light(results: Results) -> Table | str:
         name="constant-light",
         title="Variance under constant light, integrated",
         caption=(
-            "Variance of one sample of a pixel, as an integral of f²/p over directions at two "
-            "points of every pixel: no render takes part. The footprint's share is the variance "
-            "of the albedo over a pixel, which no sampler changes: a speed-up at equal samples "
+            "Variance of one sample of a pixel, as an integral of f²/p over directions at points "
+            "of every pixel, the same for all methods: no render takes part. The footprint's share "
+            "is the variance of the albedo over a pixel, which no sampler changes: a speed-up at "
+            "equal samples "
             f"cannot exceed that of all the rest. {circumstances(results, MEASURE)}"
         ).strip(),
     )

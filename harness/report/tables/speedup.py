@@ -18,6 +18,11 @@ _POOLED = (
     "Variances are of all renders of a cell, each by its samples. No number: an interval of more "
     "than a factor ten, or a tail that the renders do not resolve; its note has the bound."
 )
+_EXACT = (
+    "Under constant light the variance is an integral over all pixels (measure constant-light) "
+    "wherever that is resolved, whatever few renders say; the times are the timed rounds'. Where "
+    "renders contradict it by more than three standard errors, a note has both."
+)
 _UNDIAGNOSED = (
     "Tails not diagnosed in {count} of {all} trials, stored without what tells them: their "
     "factors are of the timed renders alone, and their intervals of light tails."
@@ -71,6 +76,9 @@ def _about_tails(results: Results, measure: str) -> list[str]:
     old = sum(trial in results.factors.undiagnosed for trial in trials)
     kinds = results.factors.kinds(trials)
     said = [f"{_POOLED} Tails: {kinds}."] if kinds else []
+    found = results.factors.found
+    if any(factor.exact for (trial, _), factor in found.items() if trial in set(trials)):
+        said.append(_EXACT)
     return said + ([_UNDIAGNOSED.format(count=old, all=len(trials))] if old else [])
 
 
