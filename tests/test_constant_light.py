@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import functools
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -18,11 +17,7 @@ from harness.core import registry
 from harness.core.protocol.disk import square_to_disk
 from harness.core.streams import generator
 from harness.measures import light_cells as cells
-from harness.measures.constant_light import ConstantLight, _some
-from harness.measures.light_points import half
 from harness.mitsuba_runtime import variant
-from harness.rendering import seen
-from harness.rendering.prepared import prepare
 from harness.stats.log_interval import LogInterval
 from harness.stats.variance import Deviations, Variance, diagnosed
 from harness.store.stored import Stored
@@ -30,6 +25,12 @@ from tests.fakes import FakeMaterial
 from tests.measure_subjects import SCENE, Uneven, job, measured
 
 variant.use("cpu")
+
+# A Mitsuba class belongs to a variant.
+from harness.measures.constant_light import _some, integrated  # noqa: E402
+from harness.measures.light_points import draw  # noqa: E402
+from harness.rendering import seen  # noqa: E402
+from harness.rendering.prepared import prepare  # noqa: E402
 
 
 class Texel(FakeMaterial):
@@ -85,20 +86,19 @@ def test_leaves_divide_the_disk() -> None:
 
 def test_picks_are_as_many_as_the_rates_say() -> None:
     rate = torch.tensor([[0.0, 2.5, 0.25], [0.0, 4.0, 0.6]])
-    picks = [cells.systematic(rate, generator(k)) for k in range(400)]
+    picks = [cells.stratified(rate, generator(k)) for k in range(400)]
     counts = torch.stack([torch.bincount(one, minlength=6) for one in picks]).double()
     off = counts.mean(0) - rate.flatten()
     assert off.abs().max() < 0.1
-    # Never more than one off, and never where the rate is zero.
-    assert ((counts - rate.flatten()).abs() < 1).all()
-    assert not len(cells.systematic(torch.zeros(2, 3), generator(0)))
+    assert ((counts - rate.flatten()).abs() < 2).all() and not counts[:, [0, 3]].any()
+    assert not len(cells.stratified(torch.zeros(2, 3), generator(0)))
 
 
 def test_the_common_directions_integrate_anything() -> None:
     """One over their rates is a quadrature of the disk at every pixel."""
     ready, pixels = prepared_at(12)
     material = Texel("texel")
-    found = half(ready, material, pixels, 400 * len(pixels), 7)
+    found = draw(ready, material, pixels, 400 * len(pixels), 7)
     x = found.wo[:, 0]
     for h, expected in ((torch.ones_like(x), math.pi), (x.square(), math.pi / 4)):
         weight = (h / found.rate * found.share[found.row]).sum() / found.pixels
@@ -112,10 +112,10 @@ def test_the_common_directions_integrate_anything() -> None:
 
 
 def texel_variance(resolution: int, chi: float) -> float:
-    """Variance of a sampler of chi-square ``chi`` at every point: of 512 points a pixel."""
+    """Variance of a sampler of chi-square ``chi`` at every point: of 128 points a pixel."""
     ready, pixels = prepared_at(resolution)
     rng, square, mean = np.random.default_rng(3), 0.0, 0.0
-    per = 512
+    per = 128
     for k in range(per):
         within = rng.random((len(pixels), 2))
         condition = seen.conditions(ready, pixels, within, k)
@@ -127,17 +127,17 @@ def texel_variance(resolution: int, chi: float) -> float:
 
 
 def test_a_few_bright_texels_are_resolved() -> None:
-    """They carry nearly all of the variance; the answer is of 512 points of every pixel."""
+    """They carry nearly all of the variance; the answer is of 128 points of every pixel."""
     share = 0.5
     found = variance_of(
-        measured("constant-light", Uneven(share), Texel("texel"), resolution=24).arrays
+        measured("constant-light", Uneven(share), Texel("texel"), resolution=20).arrays
     )
-    exact = texel_variance(24, (1 / share + 1 / (2 - share)) / 2 - 1)
+    exact = texel_variance(20, (1 / share + 1 / (2 - share)) / 2 - 1)
     assert found.total.tail in ("light", "heavy")
     low, high = found.total.log.interval[1:]
-    # Its interval, half as wide again, and what 512 points leave open.
+    # Its interval, half as wide again, and what 128 points leave open.
     spread = math.log(high / low) / 2
-    assert abs(math.log(found.total.value / exact)) < 1.5 * spread + 0.02
+    assert abs(math.log(found.total.value / exact)) < 1.5 * spread + 0.04
     assert found.total.log.factor < 2
 
 
@@ -149,10 +149,10 @@ def test_fewer_pixels_than_there_are() -> None:
     assert (np.searchsorted(pixels[:, 0], one[:, 0]) // 5 == np.arange(10)).all()
     assert _some(pixels, 50, np.random.default_rng(0)) is pixels
     few = variance_of(
-        measured("constant-light", Uneven(0.5), Texel("texel"), resolution=24, pixels=40).arrays
+        measured("constant-light", Uneven(0.5), Texel("texel"), resolution=20, pixels=40).arrays
     )
     all_of_them = variance_of(
-        measured("constant-light", Uneven(0.5), Texel("texel"), resolution=24).arrays
+        measured("constant-light", Uneven(0.5), Texel("texel"), resolution=20).arrays
     )
     assert few.total.log.factor > all_of_them.total.log.factor
 
@@ -173,20 +173,21 @@ def repeated(repeats: int) -> float:
     """Share of intervals that hold the closed form, over measurements of other seeds."""
     share, grey, held = 0.4, FakeMaterial("grey"), 0
     exact = (1 / share + 1 / (2 - share)) / 2 - 1
+    one = job("constant-light", Uneven(share), grey)
+    one.method.bind(grey)
+    ready = prepare(SCENE, grey, one.method, 10)
+    pixels = np.argwhere(ready.mask)
     for k in range(repeats):
-        one = replace(
-            job("constant-light", Uneven(share), grey, resolution=10, points=16),
-            generator=generator(k),
-        )
-        found = variance_of(ConstantLight().run([one], lambda _: None)[0].arrays)
+        halves = [draw(ready, grey, pixels, 16 * len(pixels), 2 * k + b) for b in range(2)]
+        found = variance_of(integrated(one.method, halves, 16, k) | {"radiance": np.array(1.0)})
         low, high = found.total.log.interval[1:]
         held += low <= exact <= high
     return held / repeats
 
 
 def test_intervals_hold_the_closed_form() -> None:
-    """Of 40, at least 34: fewer have a chance of 1 in 500 at 95 %."""
-    assert repeated(40) >= 0.85
+    """Of 16, at least 12: fewer have a chance below 1 in 1000 at 95 %."""
+    assert repeated(16) >= 12 / 16
 
 
 @pytest.mark.slow
@@ -216,7 +217,7 @@ def test_a_resolved_integral_is_taken_and_contradictions_are_said() -> None:
     ratio = variance_ratio(same, apart)
     assert "renders contradict its variance" in ratio.note
     # What is not resolved gives way to the renders.
-    y = np.ones((2, 400))
+    y = np.random.default_rng(0).standard_normal((2, 400))
     y[0, 0] = 1e6
     lost = {**arrays, "deviations": Deviations.of(y).packed()}
     assert diagnosed(1.0, Deviations.of(y)).tail == "not resolved"

@@ -22,7 +22,7 @@ from harness.measures.base import Settings as BaseSettings
 from harness.measures.compact import single
 from harness.measures.densities import checked_density
 from harness.measures.equal_spp import in_constant_light
-from harness.measures.light_points import PEAKS, Half, half
+from harness.measures.light_points import PEAKS, Half, draw
 from harness.rendering import defensive
 from harness.rendering.prepared import prepare
 from harness.stats.variance import Deviations
@@ -92,28 +92,30 @@ class ConstantLight(Measure):
         if isinstance(job.material, WalkFamily):
             raise Unsupported("f is a mean over random walks, whose noise is part of a weight")
         halves = _halves(job, settings, notify)
-        seed = job.generator.initial_seed()
-        sampler, footprint, energy = [], [], []
-        for k, points in enumerate(halves):
-            notify(f"{job.method.name}: {len(points.condition)} integrals, {k + 1} of 2")
-            extra = settings.points * points.pixels // 6
-            sampler.append(variances(job.method, points, extra, generator(4 * seed + k)))
-            part, square = footprints(points)
-            footprint.append(part)
-            energy.append(square.mean())
-        both = np.stack(sampler), np.stack(footprint)
-        start = np.unique(np.linspace(0, halves[0].pixels, GROUPS + 1).astype(int))
-        means = [np.add.reduceat(x, start[:-1], 1) / np.diff(start) for x in both]
-        return Outcome(
-            arrays={
-                "sampler": single(means[0]),
-                "footprint": single(means[1]),
-                "pixels": np.diff(start).astype(np.uint16),
-                "deviations": single(Deviations.of(both[0] + both[1]).packed()),
-                "energy": np.array(float(np.mean(energy))),
-                "radiance": np.array(float(job.scene.environment)),
-            }
-        )
+        notify(f"{job.method.name}: {sum(len(half.condition) for half in halves)} integrals")
+        arrays = integrated(job.method, halves, settings.points, job.generator.initial_seed())
+        return Outcome(arrays=arrays | {"radiance": np.array(float(job.scene.environment))})
+
+
+def integrated(method: Method, halves: list[Half], points: int, seed: int) -> dict[str, NDArray]:
+    """What :class:`ConstantLight` keeps, for light of radiance one."""
+    sampler, footprint, energy = [], [], []
+    for k, half in enumerate(halves):
+        extra = points * half.pixels // 6
+        sampler.append(variances(method, half, extra, generator(4 * seed + k)))
+        part, square = footprints(half)
+        footprint.append(part)
+        energy.append(square.mean())
+    both = np.stack(sampler), np.stack(footprint)
+    start = np.unique(np.linspace(0, halves[0].pixels, GROUPS + 1).astype(int))
+    means = [np.add.reduceat(x, start[:-1], 1) / np.diff(start) for x in both]
+    return {
+        "sampler": single(means[0]),
+        "footprint": single(means[1]),
+        "pixels": np.diff(start).astype(np.uint16),
+        "deviations": single(Deviations.of(both[0] + both[1]).packed()),
+        "energy": np.array(float(np.mean(energy))),
+    }
 
 
 def variances(method: Method, half: Half, extra: int, stream: torch.Generator) -> NDArray:
@@ -121,7 +123,7 @@ def variances(method: Method, half: Half, extra: int, stream: torch.Generator) -
     device, many = half.condition.device, len(half.condition)
     every = torch.arange(many, device=device)
     table = extra * _where_large(method, half)
-    at = cells.systematic(table, stream)
+    at = cells.stratified(table, stream)
     row, leaf = at // cells.LEAVES, at % cells.LEAVES
     wo = half.leaves.points(row, leaf, torch.rand(len(row), 2, generator=stream).to(device))
 
@@ -205,7 +207,7 @@ def _halves(
         for k in range(2):
             some = _some(pixels, settings.pixels, np.random.default_rng([seed, k]))
             directions = settings.points * len(some) // 2
-            made.append(half(prepared, job.material, some, directions, 4 * seed + 2 + k))
+            made.append(draw(prepared, job.material, some, directions, 4 * seed + 2 + k))
         # With the two objects: as long as they are kept, their ids are not given out again.
         _kept[key] = (made, job.material, job.scene)
     return _kept[key][0]

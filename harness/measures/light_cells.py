@@ -90,14 +90,16 @@ def spread(values: Tensor, side: int) -> Tensor:
     return mean.reshape(len(values), -1)
 
 
-def systematic(rate: Tensor, generator: torch.Generator) -> Tensor:
+def stratified(rate: Tensor, generator: torch.Generator) -> Tensor:
     """Indices of the flat ``rate``, each on average as often as it says; ascending.
 
-    The sum of the rates is rounded by chance to a whole number.
+    The rates one after the other make a line; of every unit of it one point is drawn, evenly.
     """
     total = rate.double().flatten().cumsum(0)
-    start = torch.rand(1, generator=generator, dtype=torch.float64).to(rate.device)
-    at = start + torch.arange(math.ceil(float(total[-1])), device=rate.device)
+    units = math.ceil(float(total[-1]))
+    # A common start for all units would meet equal rows at equal places: their errors add up.
+    at = torch.arange(units) + torch.rand(units, generator=generator, dtype=torch.float64)
+    at = at.to(rate.device)
     return torch.searchsorted(total, at[at < total[-1]], right=True)
 
 

@@ -78,7 +78,7 @@ class Half:
         return _rates(self.condition, self.table / area, self.near, row, leaf, wo)
 
 
-def half(
+def draw(
     prepared: Prepared, material: Material, pixels: NDArray, directions: int, seed: int
 ) -> Half:
     """Of ``pixels`` [P, 2], with ``directions`` of them on average in all."""
@@ -113,10 +113,10 @@ def half(
     rows = [shown[:, 0] * x for x in (torch.ones_like(squared), albedo[:, 0], squared)]
     near = directions * _SHARES["broad"] * sum(_normalized(x) for x in rows) / len(rows)
 
-    at = cells.systematic(table, stream)
+    at = cells.stratified(table, stream)
     row, leaf = at // cells.LEAVES, at % cells.LEAVES
     wo = leaves.points(row, leaf, _uniform(stream, len(row), 2, device))
-    other = cells.systematic(near, stream)
+    other = cells.stratified(near, stream)
     broad = _BROAD.sample(condition[other], _uniform(stream, len(other), 3, device)).wo
     row, wo = torch.cat([row, other]), torch.cat([wo, broad])
     # Off the disk f is zero.

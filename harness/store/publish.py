@@ -2,8 +2,8 @@
 
 Planned trials with their records and raw arrays, and the images of some materials; not the states
 of fitted methods, which are large and can be fitted again, nor trials of earlier plans, nor what
-takes much room and is shown or measured otherwise: the images of ``pictures``, the points of
-``constant-light``. Long arrays are kept to four digits.
+takes much room and is shown otherwise: the images of ``pictures``. Long arrays are kept to four
+digits.
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ from harness.store.stored import STATE
 
 _PICTURES = ("target", "pdf", "samples")
 """Arrays of the measure ``slices`` that are drawn and that no number is made of."""
-_LEFT_OUT = {"pictures": "images", "constant-light": "arrays"}
-"""By measure, what would be most of the copy: 300 KB an image, 10 KB a trial."""
+_LEFT_OUT = {"pictures": "images"}
+"""By measure, what would be most of the copy: 300 KB an image."""
 _LONG, _BITS = 32, 9
 """Numbers of an array that is long; bits of their significands, of 23, that are rounded away."""
 
@@ -81,7 +81,7 @@ def _copy(source: Path, fresh: Path, pictured: Collection[str]) -> int:
                 place = files.place(fresh, name, digest)
                 place.parent.mkdir(exist_ok=True)
                 shutil.copyfile(files.checked(source, name, digest), place)
-            arrays = {} if without == "arrays" else old.arrays(trial.hash)
+            arrays = old.arrays(trial.hash)
             if trial.labels["measure"] == "slices" and not shown:
                 arrays = {n: a for n, a in arrays.items() if n not in _PICTURES}
             arrays = {name: rounded(array) for name, array in arrays.items()}
