@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -155,15 +156,16 @@ def test_the_other_samples_find_the_same_variance() -> None:
 
 def test_the_integral_is_the_formula() -> None:
     """Of uneven halves and of lost samples, for a grey surface."""
-    for method, expected in (
-        (Uneven(0.5), (1 / 0.5 + 1 / 1.5) / 2 - 1),
-        (Uneven(lost=0.25), 1 / 3),
+    # Lost samples are counted, two at each of some 4000 points: 0.25 within 0.0047.
+    for method, expected, factor in (
+        (Uneven(0.5), (1 / 0.5 + 1 / 1.5) / 2 - 1, 1.02),
+        (Uneven(lost=0.25), 1 / 3, math.exp(2 * 1.3 * 1.96 * 0.0047 * 3)),
     ):
         outcome = measured("constant-light", method, FakeMaterial("grey"), resolution=32)
         found = variance_of(outcome.arrays)
         # Twice the interval: four standard errors.
         assert abs(found.total.value - expected) < 2 * expected * found.total.log.above
-        assert found.total.log.factor < 1.02
+        assert found.total.log.factor < factor
         # The same albedo everywhere: no part of the footprint, within its noise.
         assert abs(found.footprint.value) < 1e-3 * expected
 
