@@ -160,29 +160,31 @@ class Reparameterised(FlowMethod):
         forward = -self.log_prob(condition, wo).mean()
         if self.objective == "forward":
             return forward
-        return forward + self.reverse(condition, budget.directions, generator)
+        return forward + self.mixture_divergence(condition, budget.directions, generator)
 
-    def reverse(self, condition: Tensor, directions: int, generator: torch.Generator) -> Tensor:
+    def mixture_divergence(
+        self, condition: Tensor, directions: int, generator: torch.Generator
+    ) -> Tensor:
         r"""KL(p || p*) but for a constant, of both branches: each has its share of the samples.
 
         .. math:: E_{p}\Big[\log\frac pf\Big] = (1 - \varepsilon)\,E_q\Big[\log\frac pf\Big]
                   + \varepsilon\,E_{1/\pi}\Big[\log\frac pf\Big]
         """
         u = stratified_uniforms(len(condition), directions, generator, condition.device)
-        wo, log_p = self.drawn(condition, torch.logit(u, eps=2.0**-25))
-        own = self._excess(condition, plane.off_the_rim(wo), log_p)
+        wo, log_p = self.density_of_drawn(condition, torch.logit(u, eps=2.0**-25))
+        own = self._log_excess(condition, plane.off_the_rim(wo), log_p)
         u = stratified_uniforms(len(condition), directions, generator, condition.device)
         elsewhere = plane.off_the_rim(square_to_disk(u))
-        spread = self._excess(condition, elsewhere, self.log_prob(condition, elsewhere))
+        spread = self._log_excess(condition, elsewhere, self.log_prob(condition, elsewhere))
         raw = self.share_logit(self.module, condition)[:, 0]
         share = self.uniform + (1 - self.uniform) * torch.sigmoid(raw)
         return ((1 - share) * own + share * spread).mean()
 
-    def _excess(self, condition: Tensor, wo: Tensor, log_p: Tensor) -> Tensor:
+    def _log_excess(self, condition: Tensor, wo: Tensor, log_p: Tensor) -> Tensor:
         """Mean of log p - log f [B] over the directions ``wo`` [B, D, 2] of each condition."""
         return (log_p - (target_of(self.material, condition, wo) + LEAST).log()).mean(1)
 
-    def drawn(self, condition: Tensor, z: Tensor) -> tuple[Tensor, Tensor]:
+    def density_of_drawn(self, condition: Tensor, z: Tensor) -> tuple[Tensor, Tensor]:
         """Directions [B, D, 2] of the logistic points ``z`` [B, D, 2], and their log p [B, D].
 
         The density is that of the unrounded direction, from the coordinates of the plane. Back

@@ -156,7 +156,7 @@ def test_reverse_loss_of_samples_that_round_onto_the_rim(shift, some_round):
         method.module.first.layers[-1].bias[n + 2] = shift
     condition = TILTED.conditions(64, rng(0))
     z = torch.logit(stratified_uniforms(64, 32, rng(1), "cpu"), eps=2.0**-25)
-    wo, log_p = method.drawn(condition, z)
+    wo, log_p = method.density_of_drawn(condition, z)
     there = method.followed(wo)
     assert there.any() and bool((~there).any()) is some_round
     assert log_p.isfinite().all()
@@ -173,7 +173,7 @@ def test_density_of_what_is_drawn_is_the_density_of_its_direction():
     method.module.double()
     condition = TILTED.conditions(64, rng(0)).double()
     z = torch.logit(stratified_uniforms(64, 32, rng(1), "cpu").double(), eps=2.0**-25)
-    wo, log_p = method.drawn(condition, z)
+    wo, log_p = method.density_of_drawn(condition, z)
     torch.testing.assert_close(log_p, method.log_prob(condition, wo), rtol=1e-6, atol=1e-6)
     torch.testing.assert_close(wo, method.from_base(method.module, condition, z))
 
@@ -193,7 +193,7 @@ def test_reverse_loss_is_the_divergence_of_the_mixture():
     for raw in (-3.0, 1.0):
         with torch.no_grad():
             method.module.first.layers[-1].bias[-1] = raw
-            found = float(method.reverse(condition, 65536, rng(4)))
+            found = float(method.mixture_divergence(condition, 65536, rng(4)))
             # What cells miss at the rim is in proportion to their size.
             expected = 2 * by_cells(256) - by_cells(128)
         assert abs(found - expected) < 2e-3
