@@ -9,6 +9,7 @@ import torch
 from torch import Tensor, nn
 
 from harness.core.columns.bridge import Columns, Float
+from harness.core.protocol.disk import square_to_disk
 from harness.core.protocol.errors import InputError, Unsupported
 from harness.core.protocol.material import Material
 from harness.core.protocol.method import Budget, FitReport, Knob
@@ -159,13 +160,48 @@ class Reparameterised(FlowMethod):
         forward = -self.log_prob(condition, wo).mean()
         if self.objective == "forward":
             return forward
-        u = stratified_uniforms(len(condition), budget.directions, generator, condition.device)
-        own = self.from_base(self.module, condition, torch.logit(u, eps=2.0**-25))
-        # What rounds onto the rim is no direction, and has no density.
-        there = self.followed(own)
-        own = torch.where(there[..., None], own, 0)
-        log_f = (target_of(self.material, condition, own) + LEAST).log()
-        return forward + (self.log_prob(condition, own) - log_f)[there].mean()
+        return forward + self.mixture_divergence(condition, budget.directions, generator)
+
+    def mixture_divergence(
+        self, condition: Tensor, directions: int, generator: torch.Generator
+    ) -> Tensor:
+        r"""KL(p || p*) but for a constant, of both branches: each has its share of the samples.
+
+        .. math:: E_{p}\Big[\log\frac pf\Big] = (1 - \varepsilon)\,E_q\Big[\log\frac pf\Big]
+                  + \varepsilon\,E_{1/\pi}\Big[\log\frac pf\Big]
+        """
+        u = stratified_uniforms(len(condition), directions, generator, condition.device)
+        wo, log_p = self.density_of_drawn(condition, torch.logit(u, eps=2.0**-25))
+        own = self._log_excess(condition, plane.off_the_rim(wo), log_p)
+        u = stratified_uniforms(len(condition), directions, generator, condition.device)
+        elsewhere = plane.off_the_rim(square_to_disk(u))
+        spread = self._log_excess(condition, elsewhere, self.log_prob(condition, elsewhere))
+        raw = self.share_logit(self.module, condition)[:, 0]
+        share = self.uniform + (1 - self.uniform) * torch.sigmoid(raw)
+        return ((1 - share) * own + share * spread).mean()
+
+    def _log_excess(self, condition: Tensor, wo: Tensor, log_p: Tensor) -> Tensor:
+        """Mean of log p - log f [B] over the directions ``wo`` [B, D, 2] of each condition."""
+        return (log_p - (target_of(self.material, condition, wo) + LEAST).log()).mean(1)
+
+    def density_of_drawn(self, condition: Tensor, z: Tensor) -> tuple[Tensor, Tensor]:
+        """Directions [B, D, 2] of the logistic points ``z`` [B, D, 2], and their log p [B, D].
+
+        The density is that of the unrounded direction, from the coordinates of the plane. Back
+        from the rounded direction the gradients of map and density, both in proportion to the
+        inverse distance from the rim, would cancel but for noise.
+        """
+        net = self.module
+        encoded = net.encoder(condition)
+        at, one, two = self._to_plane(net, encoded, z)
+        back, slope = self._to_line(one, one[..., -5:-1:2], at[0])
+        line = two[..., -2:] + one[..., -4:-1:2]
+        back_2, slope_2 = self._to_line(two, line, at[1])
+        flow = self.log_base(torch.stack([back, back_2], -1)) + slope + slope_2
+        flow = flow + plane.log_density_of_plane(*at)
+        # Every point of the plane is inside of the disk, however its direction rounds.
+        log_p = defensive.log_mixed_logit(flow, torch.zeros_like(z), one[:, 0, -1:], self.uniform)
+        return plane.disk_of_plane(*at), log_p
 
     def share_logit(self, net: Conditioners, condition: Tensor) -> Tensor | None:
         """See :meth:`FlowMethod.share_logit`."""
@@ -201,12 +237,19 @@ class Reparameterised(FlowMethod):
 
     def from_base(self, net: Conditioners, condition: Tensor, z: Tensor) -> Tensor:
         """See :meth:`FlowMethod.from_base`."""
-        encoded = net.encoder(condition)
+        at, _, _ = self._to_plane(net, net.encoder(condition), z)
+        return plane.disk_of_plane(*at)
+
+    def _to_plane(
+        self, net: Conditioners, encoded: Tensor, z: Tensor
+    ) -> tuple[tuple[Tensor, Tensor], Tensor, Tensor]:
+        """Coordinates (a, b), each [B, D], of ``z``, and what both networks gave for them."""
         one = net.first(encoded)[:, None]
         z1, z2 = z.unbind(-1)
         a = self._from_line(one, one[..., -5:-1:2], z1)
         two = net.given_x(torch.tanh(a / 2), torch.tanh(z1 / 2), encoded)
-        return plane.disk_of_plane(a, self._from_line(two, two[..., -2:] + one[..., -4:-1:2], z2))
+        b = self._from_line(two, two[..., -2:] + one[..., -4:-1:2], z2)
+        return (a, b), one, two
 
     def _to_line(self, numbers: Tensor, line: Tensor, at: Tensor) -> tuple[Tensor, Tensor]:
         """z [B, D] of a coordinate, and the log slope; ``line`` is log scale and shift."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
 
@@ -205,6 +206,18 @@ def test_panels_are_what_is_recorded(swept: Results):
     assert mean.x.value == pytest.approx(math.sqrt(each[0].x.value * each[1].x.value))
     expected = standings([(q.x, q.y) for q in panels["suede"].points])
     assert [q.standing for q in panels["suede"].points] == expected
+
+
+def test_no_mean_where_no_method_is_on_every_material(swept: Results):
+    whole = drawing.CHARTS[0]
+
+    def half(results: Results, material: str, label: str, scene: str) -> Estimate | str:
+        if label.startswith("two-lobe") == (material == "suede"):
+            return whole.x(results, material, label, scene)
+        return "not measured"
+
+    panels = panels_of(swept, replace(whole, x=half), "studio-sphere")
+    assert list(panels) == ["suede", "brushed-metal"]
 
 
 def test_what_is_not_fitted_is_no_point(swept: Results):

@@ -18,7 +18,7 @@ from harness.core.protocol.errors import InputError, StateRefused, Unsupported
 from harness.core.protocol.method import Budget
 from harness.fitting.drawn import GROUPS, Drawn
 from harness.fitting.map_degree import examine
-from harness.fitting.reverse import Pool, normal_of_uniforms, stratified_uniforms
+from harness.fitting.reverse import LEAST, Pool, normal_of_uniforms, stratified_uniforms
 from harness.fitting.targets import Targets, cells
 from harness.materials import registry as materials
 from harness.nets import hemisphere, plane, spline
@@ -148,7 +148,7 @@ def test_likelihood_and_both_objectives_learn():
 
 @pytest.mark.parametrize(("shift", "some_round"), [(0.0, False), (14.0, True)])
 def test_reverse_loss_of_samples_that_round_onto_the_rim(shift, some_round):
-    """They have no density; the others' loss and its gradient stay finite."""
+    """They count like all others: their density is that of the point before it is rounded."""
     method = registry.make("reparameterised", objective="both")
     method.bind(TILTED)
     n = spline.outputs(method.bins)
@@ -156,13 +156,55 @@ def test_reverse_loss_of_samples_that_round_onto_the_rim(shift, some_round):
         method.module.first.layers[-1].bias[n + 2] = shift
     condition = TILTED.conditions(64, rng(0))
     z = torch.logit(stratified_uniforms(64, 32, rng(1), "cpu"), eps=2.0**-25)
-    there = method.followed(method.from_base(method.module, condition, z))
+    wo, log_p = method.density_of_drawn(condition, z)
+    there = method.followed(wo)
     assert there.any() and bool((~there).any()) is some_round
+    assert log_p.isfinite().all()
     targets = Targets.build(TILTED, BUDGET, rng(2))
     loss = method.loss(targets, BUDGET, rng(3))
     loss.backward()
     assert loss.isfinite()
     assert all(p.grad.isfinite().all() for p in method.module.parameters() if p.grad is not None)
+
+
+def test_density_of_what_is_drawn_is_the_density_of_its_direction():
+    method = registry.make("reparameterised", objective="both")
+    method.bind(TILTED)
+    method.module.double()
+    condition = TILTED.conditions(64, rng(0)).double()
+    z = torch.logit(stratified_uniforms(64, 32, rng(1), "cpu").double(), eps=2.0**-25)
+    wo, log_p = method.density_of_drawn(condition, z)
+    torch.testing.assert_close(log_p, method.log_prob(condition, wo), rtol=1e-6, atol=1e-6)
+    torch.testing.assert_close(wo, method.from_base(method.module, condition, z))
+
+
+def test_reverse_loss_is_the_divergence_of_the_mixture():
+    """Against quadrature over the disk: the uniform branch counts by its share, and its samples."""
+    method = registry.make("reparameterised", objective="both")
+    method.bind(TILTED)
+    condition = TILTED.conditions(8, rng(0))
+
+    def by_cells(resolution: int) -> float:
+        wo = cells(resolution)[None].expand(8, -1, -1)
+        log_p = method.log_prob(condition, wo).double()
+        log_f = (TILTED.target_grid(condition, wo) + LEAST).log()
+        return float(math.pi * (log_p.exp() * (log_p - log_f)).mean())
+
+    for raw in (-3.0, 1.0):
+        with torch.no_grad():
+            method.module.first.layers[-1].bias[-1] = raw
+            found = float(method.mixture_divergence(condition, 65536, rng(4)))
+            # What cells miss at the rim is in proportion to their size.
+            expected = 2 * by_cells(256) - by_cells(128)
+        assert abs(found - expected) < 2e-3
+
+
+def test_directions_near_the_rim_are_moved_in():
+    wo = torch.tensor([[0.0, 0.0], [0.6, 0.0], [0.6, 0.8], [-1.0, 0.0], [1 - 2.0**-20, 0.0]])
+    moved = plane.off_the_rim(wo)
+    assert torch.equal(moved[:2], wo[:2])
+    torch.testing.assert_close(moved[2:].norm(dim=-1), torch.full((3,), 1 - plane.RIM))
+    torch.testing.assert_close(moved, wo, rtol=0, atol=2.0**-15)
 
 
 def test_both_objectives_need_a_gradient():

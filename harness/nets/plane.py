@@ -17,6 +17,7 @@ distance from the end, the (1 / s - 1)-th, and not faster, as a Gaussian's would
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import drjit as dr
@@ -58,6 +59,22 @@ def disk_of_plane(a: Tensor, b: Tensor) -> Tensor:
     """Directions [..., 2] of coordinates [...]."""
     # The chord is 1 / cosh(a / 2).
     return torch.stack([torch.tanh(a / 2), torch.tanh(b / 2) / torch.cosh(a / 2)], -1)
+
+
+def log_density_of_plane(a: Tensor, b: Tensor) -> Tensor:
+    r"""Log of :math:`|d(a, b) / d(x, y)| = 4 \cosh^3\frac a2 \cosh^2\frac b2` [...]."""
+    return math.log(4) + 3 * _log_cosh(a / 2) + 2 * _log_cosh(b / 2)
+
+
+def off_the_rim(wo: Tensor) -> Tensor:
+    """``wo`` [..., 2], those within :data:`RIM` of the rim moved in by as much."""
+    radius = wo.norm(dim=-1, keepdim=True)
+    # The clamp changes nothing where its branch is taken; elsewhere it keeps the quotient finite.
+    return torch.where(radius < 1 - RIM, wo, wo * (1 - RIM) / radius.clamp(min=1 - RIM))
+
+
+def _log_cosh(t: Tensor) -> Tensor:
+    return torch.nn.functional.softplus(-2 * t.abs()) + t.abs() - math.log(2)
 
 
 def log_logistic(z: Tensor) -> Tensor:

@@ -58,7 +58,9 @@ def panels(results: Results, chart: Chart, scene: str) -> dict[str, Panel]:
         if points:
             found[material] = Panel(_stood(points), levels, off)
     if len(found) > 1:
-        return {ALL: _means(list(found.values()))} | found
+        means = _means(list(found.values()))
+        # There is none where no method is on every material.
+        return ({ALL: means} if means.points else {}) | found
     return found
 
 
