@@ -8,7 +8,7 @@ from pathlib import Path
 
 from harness.analysis.results import Results
 from harness.core import machine
-from harness.store.database import FILE, OLD_PLAN
+from harness.store.database import OLD_PLAN, file_of, folders_in
 from harness.store.frame import STALE
 from harness.store.stored import Stored
 
@@ -81,9 +81,9 @@ def counted(folder: Path, results: Results) -> Status:
 
 def folders(place: Path) -> list[Path]:
     """The results folders at or directly below ``place``."""
-    if (place / FILE).is_file() or (place / OLD_PLAN).is_file():
+    if file_of(place) is not None or (place / OLD_PLAN).is_file():
         return [place]
-    return sorted(path.parent for path in place.glob(f"*/{FILE}"))
+    return folders_in(place)
 
 
 def _kind(status: str) -> str:

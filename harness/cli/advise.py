@@ -31,9 +31,10 @@ def register(app: typer.Typer) -> None:
         """Name the fastest method to a given error, the runner-up, and how long that holds."""
         from harness.analysis import advise as reports
         from harness.core.protocol.errors import InputError, nearest
+        from harness.store.database import folders_in
 
         if not results_dir.is_dir():
-            beside = [p.parent.name for p in results_dir.parent.glob("*/results.sqlite")]
+            beside = [folder.name for folder in folders_in(results_dir.parent)]
             raise InputError(f"no such folder: {results_dir}{nearest(results_dir.name, beside)}")
         for advice in reports.advise(results_dir, material, samples, scene, shipped):
             for line in advice.lines():

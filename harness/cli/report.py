@@ -28,18 +28,18 @@ def register(app: typer.Typer) -> None:
         """
         from harness.core.protocol.errors import InputError, nearest
         from harness.core.terminal import Screen
-        from harness.store.database import FILE, OLD_PLAN
+        from harness.store.database import OLD_PLAN, file_of, folders_in
 
         if not results_dir.is_dir():
-            beside = [p.parent.name for p in results_dir.parent.glob("*/results.sqlite")]
+            beside = [folder.name for folder in folders_in(results_dir.parent)]
             raise InputError(f"no such folder: {results_dir}{nearest(results_dir.name, beside)}")
         console = Screen(highlight=False)
 
         def say(text: str) -> None:
             console.print(text, soft_wrap=True, markup=False)
 
-        one = any((results_dir / name).is_file() for name in (FILE, OLD_PLAN))
-        several = not one and any(results_dir.glob(f"*/{FILE}"))
+        one = file_of(results_dir) is not None or (results_dir / OLD_PLAN).is_file()
+        several = not one and bool(folders_in(results_dir))
         page = _index(results_dir, say) if several else _report(results_dir, console, say)
         if open_it:
             import webbrowser

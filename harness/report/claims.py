@@ -33,6 +33,7 @@ from harness.core.paths import ROOT
 from harness.core.protocol.errors import InputError, nearest
 from harness.report.parts import part, parts
 from harness.report.table import Cell, Table
+from harness.store.database import file_of, folders_in
 from harness.store.frame import STALE
 
 REFERENCE = ROOT / "results" / "reference"
@@ -53,8 +54,8 @@ class Source:
     """The tables of one results folder, each made once."""
 
     def __init__(self, folder: Path):
-        if not (folder / "results.sqlite").is_file():
-            known = [path.parent.name for path in folder.parent.glob("*/results.sqlite")]
+        if file_of(folder) is None:
+            known = [found.name for found in folders_in(folder.parent)]
             raise InputError(f"no such results: {folder.name}{nearest(folder.name, known)}")
         self.results = Results.load(folder)
         self._tables: dict[str, Table] = {}

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import sqlite3
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import closing, contextmanager
+from contextlib import contextmanager
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
@@ -23,17 +23,9 @@ from harness.core.protocol.errors import InputError
 from harness.store import arrays as raw
 from harness.store import census, files
 from harness.store.bodies import Texts, body_of, stored_of
-from harness.store.database import Damaged, connect, explained, transaction
+from harness.store.database import Damaged, connect, explained, reading, transaction
 from harness.store.forms import checked_plan
-from harness.store.packing import (
-    MOST_TEXT,
-    digest,
-    json_bytes,
-    pack,
-    packed_together,
-    parsed,
-    unpack,
-)
+from harness.store.packing import MOST_TEXT, digest, json_bytes, pack, parsed, unpack
 from harness.store.stored import LABELS, NOT_RUN, Stored
 
 if TYPE_CHECKING:
@@ -170,23 +162,6 @@ class ResultsFolder:
             raw.sweep(self._connection, self._named_arrays(trials))
         files.sweep(self.folder, [d for t in trials.values() for d in t.files.values()])
 
-    def compact(self) -> None:
-        """Make the file as small as it can be; nobody else may have it open.
-
-        All trials are packed with a dictionary made of some of them, where that pays for itself.
-        """
-        with self.writing():
-            bodies = {
-                key: unpack(body, self._dictionary, MOST_TEXT)
-                for key, body in self.run("SELECT trial, body FROM trial ORDER BY trial")
-            }
-            packed, self._dictionary = packed_together(bodies)
-            self.run("INSERT OR REPLACE INTO meta VALUES ('dictionary', ?)", self._dictionary)
-            for key, body in packed.items():
-                self.run("UPDATE trial SET body = ? WHERE trial = ?", body, key)
-        with explained(self.folder):
-            self.run("VACUUM")
-
     # --- reading -------------------------------------------------------------------------------
 
     def plan(self) -> dict[str, Any]:
@@ -306,5 +281,5 @@ class ResultsFolder:
 
 
 def _arrays_of(folder: Path, key: str, kept: Mapping[str, str]) -> dict[str, np.ndarray]:
-    with explained(folder), closing(connect(folder, look=False)) as connection:
+    with explained(folder), reading(folder) as connection:
         return raw.read(connection, folder, key, kept)

@@ -9,7 +9,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from harness.core.protocol.errors import InputError
-from harness.store.database import FILE, OLD_PLAN, Damaged, connect, is_ours
+from harness.store.database import FILE, OLD_PLAN, Damaged, connect, file_of, is_ours
 
 LOCK = ".lock"
 _MARK = b"a results folder of the sampling benchmark\n"
@@ -41,7 +41,7 @@ def locked(results: Path) -> Iterator[None]:
                 f"{results}: another run is writing there; wait for it or choose another --out"
             ) from None
         _mark(file, results)
-        if not (results / FILE).exists():
+        if file_of(results) is None:
             connect(results, write=True).close()
         yield
     finally:
@@ -54,7 +54,7 @@ def claim(results: Path) -> None:
         raise InputError("--out: expected a folder of its own for the results")
     if results.exists() and not results.is_dir():
         raise InputError(f"{results}: is a file; expected a folder for the results")
-    if (results / FILE).is_file() or (results / OLD_PLAN).is_file():
+    if file_of(results) is not None or (results / OLD_PLAN).is_file():
         with suppress(Damaged):  # which a run sets aside
             connect(results).close()  # says what it is if it is not ours
     if results.is_dir() and not (is_ours(results) or _is_marked(results)):

@@ -13,7 +13,7 @@ from pathlib import Path
 
 from harness.core.protocol.errors import InputError
 from harness.store.damage import damage
-from harness.store.database import ASIDE, FILE, Damaged, connect, explained
+from harness.store.database import ASIDE, FILE, Damaged, connect, explained, file_of
 from harness.store.folder import ResultsFolder
 
 _JOURNAL = f"{FILE}-journal"
@@ -29,7 +29,7 @@ def mend(folder: Path, say: Callable[[str], None]) -> None:
     Raises:
         InputError: the folder cannot be written.
     """
-    if (folder / FILE).stat().st_size == 0:
+    if (file_of(folder) or folder / FILE).stat().st_size == 0:
         say(f"{folder / FILE}: was empty; begun anew")
     try:
         _whole(folder)

@@ -12,7 +12,7 @@ from typing import Any
 
 from harness.core.protocol.errors import InputError
 from harness.store import code, files
-from harness.store.database import FILE
+from harness.store.database import FILE, file_of
 from harness.store.folder import ResultsFolder
 from harness.store.lock import LOCK, claim, locked
 from harness.store.stored import DAMAGED, LABELS, Stored
@@ -45,7 +45,7 @@ def merge(sources: Sequence[Path], target: Path) -> Merged:
         InputError: a folder holds no results or others', or the suites differ.
     """
     claim(target)
-    if (target / FILE).exists():
+    if file_of(target) is not None:
         raise InputError(f"{target}: holds results already; expected an empty or a new folder")
     fresh = Path(tempfile.mkdtemp(prefix=f".{target.name}-", dir=target.parent))
     try:

@@ -6,7 +6,6 @@ import hashlib
 import json
 import math
 import zlib
-from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -18,10 +17,8 @@ MOST = 2**27
 forty times over."""
 MOST_TEXT = 2**23
 """Bytes of one trial's description, or of a text that trials share."""
-_WINDOW = 32768
-"""Bytes that zlib looks back."""
-_SAMPLED = 24
-"""Bodies that a dictionary is made of: at a kilobyte or two each they fill the window."""
+_PLAIN = b"="
+"""Begins what is not compressed; a stream of zlib begins otherwise."""
 
 
 def digest(data: bytes) -> str:
@@ -47,12 +44,21 @@ def pack(data: bytes, dictionary: bytes = b"", most: int = MOST) -> bytes:
     return packer.compress(data) + packer.flush()
 
 
+def plain(data: bytes) -> bytes:
+    """As :func:`pack`, but not compressed: for a database that is compressed as a whole."""
+    return _PLAIN + data
+
+
 def unpack(data: bytes, dictionary: bytes = b"", most: int = MOST) -> bytes:
-    """What :func:`pack` compressed with the same dictionary, or with none.
+    """What :func:`pack` compressed with the same dictionary, or with none, or :func:`plain` made.
 
     Raises:
         ValueError: not compressed by it, cut off, or of more than ``most`` bytes.
     """
+    if data[:1] == _PLAIN:
+        if len(data) > most + 1:
+            raise ValueError(f"is more than {most:,} bytes")
+        return data[1:]
     unpacker = zlib.decompressobj(zlib.MAX_WBITS, dictionary)
     try:
         found = unpacker.decompress(data, most)
@@ -63,24 +69,6 @@ def unpack(data: bytes, dictionary: bytes = b"", most: int = MOST) -> bytes:
     if not unpacker.eof:
         raise ValueError("cannot be decompressed: it is cut off")
     return found
-
-
-def packed_together(bodies: Mapping[str, bytes]) -> tuple[dict[str, bytes], bytes]:
-    """:func:`pack` of ``bodies`` and the dictionary for it, made of some of them.
-
-    The dictionary is empty where it would take more room than it saves.
-    """
-    sample = [*bodies.values()][:: max(1, len(bodies) // _SAMPLED)]
-    dictionary = b"".join(sample)[-_WINDOW:]
-    alone = {key: pack(body) for key, body in bodies.items()}
-    shared = {key: pack(body, dictionary) for key, body in bodies.items()}
-    if len(dictionary) + _size(shared) < _size(alone):
-        return shared, dictionary
-    return alone, b""
-
-
-def _size(packed: Mapping[str, bytes]) -> int:
-    return sum(map(len, packed.values()))
 
 
 def array_bytes(array: np.ndarray) -> bytes:

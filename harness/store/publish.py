@@ -3,7 +3,7 @@
 Planned trials with their records and raw arrays, and the images of some materials; not the states
 of fitted methods, which are large and can be fitted again, nor trials of earlier plans, nor what
 takes much room and is shown otherwise: the images of ``pictures``. Long arrays are kept to four
-digits.
+digits, records to seven. The database is one compressed file (:mod:`harness.store.whole`).
 """
 
 from __future__ import annotations
@@ -11,25 +11,32 @@ from __future__ import annotations
 import argparse
 import os
 import shutil
+import sqlite3
 import tempfile
 from collections.abc import Collection
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from harness.store import code, files
-from harness.store.database import FILE
+from harness.store import code, files, whole
+from harness.store.database import FILE, connect, make_tables, transaction
 from harness.store.folder import ResultsFolder
 from harness.store.lock import LOCK, claim, locked
-from harness.store.stored import STATE
+from harness.store.packing import plain, unpack
+from harness.store.stored import STATE, Stored
 
 _PICTURES = ("target", "pdf", "samples")
 """Arrays of the measure ``slices`` that are drawn and that no number is made of."""
 _LEFT_OUT = {"pictures": "images"}
 """By measure, what would be most of the copy: 300 KB an image."""
-_LONG, _BITS = 32, 9
-"""Numbers of an array that is long; bits of their significands, of 23, that are rounded away."""
+_LONG, _BITS, _PICTURE_BITS = 32, 9, 13
+"""Numbers of an array that is long; bits of their significands, of 23, that are rounded away, and
+of pictures, where one in two thousand cannot be seen."""
+_DIGITS = 7
+"""Of the numbers of a record."""
 
 
 def publish(source: Path, target: Path, pictured: Collection[str] = ()) -> int:
@@ -48,7 +55,7 @@ def publish(source: Path, target: Path, pictured: Collection[str] = ()) -> int:
     try:
         count = _copy(source, fresh, pictured)
         with locked(target):
-            for name in (FILE, files.FOLDER, "suite.yaml"):
+            for name in (whole.WHOLE, FILE, files.FOLDER, "suite.yaml"):
                 _replace(fresh / name, target / name)
         (target / LOCK).unlink()
     finally:
@@ -62,6 +69,8 @@ def _replace(fresh: Path, old: Path) -> None:
         shutil.rmtree(old)
     if fresh.exists():
         os.replace(fresh, old)
+    else:
+        old.unlink(missing_ok=True)
 
 
 def _copy(source: Path, fresh: Path, pictured: Collection[str]) -> int:
@@ -82,10 +91,14 @@ def _copy(source: Path, fresh: Path, pictured: Collection[str]) -> int:
                 place.parent.mkdir(exist_ok=True)
                 shutil.copyfile(files.checked(source, name, digest), place)
             arrays = old.arrays(trial.hash)
-            if trial.labels["measure"] == "slices" and not shown:
-                arrays = {n: a for n, a in arrays.items() if n not in _PICTURES}
-            arrays = {name: rounded(array) for name, array in arrays.items()}
-            new.save(replace(trial, folder=fresh), arrays, kept)
+            drawn = _PICTURES if trial.labels["measure"] == "slices" else ()
+            if not shown:
+                arrays = {n: a for n, a in arrays.items() if n not in drawn}
+            arrays = {
+                name: rounded(array, _PICTURE_BITS if name in drawn else _BITS)
+                for name, array in arrays.items()
+            }
+            new.save(replace(trial, records=_short(trial), folder=fresh), arrays, kept)
         digests = {digest for trial in wanted for digest in trial.parts.values()}
         code.note_units(new, {d: units for d in digests if (units := code.units(old, d))})
         for change in code.equivalents(old):
@@ -93,15 +106,45 @@ def _copy(source: Path, fresh: Path, pictured: Collection[str]) -> int:
         for (part, digest), about in code.probes(old).items():
             if digest in digests:
                 code.save_probe(new, part, digest, *about, code.probe(old, part, digest))
-        new.compact()
+    _in_one_piece(fresh)
     shutil.copyfile(source / "suite.yaml", fresh / "suite.yaml")
     return len(wanted)
 
 
-def rounded(array: np.ndarray) -> np.ndarray:
-    """A long array of floats to the nearest numbers of 15 bits, relative errors below 2^-15.
+def _short(trial: Stored) -> list[dict[str, Any]]:
+    """Its records, their numbers rounded."""
+    numbers = ("value", "ci_low", "ci_high")
+    return [r | {key: float(f"{r[key]:.{_DIGITS}g}") for key in numbers} for r in trial.records]
 
-    Of single precision, where the numbers have its range; everything else as it is.
+
+def _in_one_piece(folder: Path) -> None:
+    """Compress the database of a folder as a whole; what is like each other stands together."""
+    with ResultsFolder(folder) as results:
+        places = {
+            digest: (trial.labels["measure"], name)
+            for trial in results.trials().values()
+            for name, digest in trial.kept_arrays.items()
+        }
+    with closing(connect(folder)) as old, closing(sqlite3.connect(":memory:")) as new:
+        new.isolation_level = None
+        with transaction(new):
+            make_tables(new)
+            for table in ("meta", "text", "units", "trial", "probe", "equivalent", "blob"):
+                rows = old.execute(f"SELECT * FROM {table}").fetchall()
+                if table == "blob":
+                    rows.sort(key=lambda row: (places.get(row[0], ("", "")), row[0]))
+                for row in rows:
+                    packed = [plain(unpack(v)) if isinstance(v, bytes) and v else v for v in row]
+                    new.execute(f"INSERT INTO {table} VALUES ({', '.join('?' * len(row))})", packed)
+        whole.write(new, folder / whole.WHOLE)
+    (folder / FILE).unlink()
+
+
+def rounded(array: np.ndarray, bits: int = _BITS) -> np.ndarray:
+    """A long array of floats, ``bits`` of 23 of their significands rounded away.
+
+    Relative errors are below 2^(bits - 24), that is 2^-15. Of single precision, where the numbers
+    have its range; everything else as it is.
     """
     if array.size < _LONG or array.dtype not in (np.float32, np.float64):
         return array
@@ -109,8 +152,8 @@ def rounded(array: np.ndarray) -> np.ndarray:
     if size.size and not limits.tiny <= size.min() <= size.max() <= limits.max / 2:
         return array
     single = array.astype(np.float32)
-    bits = (single.view(np.uint32) + (1 << (_BITS - 1))) & ~np.uint32((1 << _BITS) - 1)
-    return np.where(np.isfinite(single), bits.view(np.float32), single)
+    kept = (single.view(np.uint32) + (1 << (bits - 1))) & ~np.uint32((1 << bits) - 1)
+    return np.where(np.isfinite(single), kept.view(np.float32), single)
 
 
 def main() -> None:

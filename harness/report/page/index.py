@@ -12,7 +12,7 @@ from harness.report.page.answer import answer
 from harness.report.page.circumstances import facts
 from harness.report.page.shell import whole
 from harness.report.write import Report
-from harness.store.database import FILE
+from harness.store.database import FILE, file_of
 
 SCRIPTS = ("state.js", "elements.js", "index.js")
 
@@ -44,7 +44,10 @@ def _suite(folder: Path, place: Path) -> tuple[dict[str, Any], bool]:
         report = Report.of(results)
     except InputError as error:
         return {"name": folder.name, "title": folder.name, "why": str(error)}, True
-    fresh = page.is_file() and page.stat().st_mtime >= (folder / FILE).stat().st_mtime
+    fresh = (
+        page.is_file()
+        and page.stat().st_mtime >= (file_of(folder) or folder / FILE).stat().st_mtime
+    )
     status = counted(folder, results)
     return {
         "name": folder.name,
