@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import hashlib
 import math
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pandas as pd
 import pytest
 import torch
 from hypothesis import given, settings
@@ -22,9 +20,8 @@ from harness.measures.base import Outcome
 from harness.store import write
 from harness.store.folder import ResultsFolder
 from harness.store.lock import locked
-from harness.store.packing import array_bytes, array_of, packed_together, unpack
+from harness.store.packing import array_bytes, array_of, pack, plain, unpack
 from harness.store.stored import COLUMNS, Stored
-from tests import stores
 
 HASH, OTHER, THIRD = "0123456789abcdef", "fedcba9876543210", "00000000000000aa"
 LABELS = {"suite": "s", "material": "m", "method": "a", "scene": "", "measure": "own", "seed": 0}
@@ -95,32 +92,17 @@ def test_an_array_comes_back_with_kind_and_shape(array: np.ndarray):
     )
 
 
-def test_bodies_that_are_alike_share_a_dictionary_and_few_do_without():
-    def bodies(count: int) -> dict[str, bytes]:
-        names = [hashlib.sha256(str(n).encode()).hexdigest() for n in range(20)]
-        return {str(i): f"{i} {' '.join(names)} {i * i}".encode() for i in range(count)}
-
-    few, dictionary = packed_together(bodies(2))
-    assert dictionary == b"" and {k: unpack(b) for k, b in few.items()} == bodies(2)
-    many, dictionary = packed_together(bodies(200))
-    assert dictionary and {k: unpack(b, dictionary) for k, b in many.items()} == bodies(200)
-    assert sum(map(len, many.values())) + len(dictionary) < 200 * len(few["0"]) / 2
+def test_bytes_are_compressed_with_a_dictionary_or_not_at_all():
+    body = b"sampler " * 40
+    for packed, dictionary in ((pack(body), b""), (pack(body, body), body), (plain(body), b"")):
+        assert unpack(packed, dictionary) == body == unpack(packed, dictionary, len(body))
+        with pytest.raises(ValueError, match="is more than 319 bytes"):
+            unpack(packed, dictionary, len(body) - 1)
+    assert len(pack(body, body)) < len(pack(body)) < len(plain(body))
     with pytest.raises(ValueError, match="cannot be decompressed"):
-        unpack(many["0"])
+        unpack(pack(body, body))
     with pytest.raises(ValueError, match="cut off"):
-        unpack(many["0"][:-5], dictionary)
-
-
-def test_a_compact_store_is_the_same_and_can_be_written(tmp_path: Path):
-    folder = stores.make(tmp_path / "out", [f"{n:016x}" for n in range(100)])
-    before = load_results(folder)
-    with ResultsFolder(folder, write=True) as store:
-        store.compact()
-        stores.save(store, "f" * 16, 3)
-    pd.testing.assert_frame_equal(load_results(folder), before)
-    with ResultsFolder(folder) as store:
-        assert store.trial("f" * 16).records[0]["value"] == 3.0
-        assert store.arrays(f"{7:016x}")["numbers"].tolist() == [7.0] * 64
+        unpack(pack(body)[:-5])
 
 
 def test_what_cannot_be_stored_is_refused_and_leaves_the_old(tmp_path: Path):

@@ -67,7 +67,6 @@ def test_all_that_a_store_does_keeps_count(tmp_path: Path):
         store.save_records({KEYS[1]: replace(trial, reason="made again")})
         store.set_aside({KEYS[2]: "for a test", "b" * 16: "not there"})
         store.tidy()
-        store.compact()
         with pytest.raises(TypeError), store.writing():
             store.put(replace(trial, documents={"x": object()}), {}, {})
         assert store.lost() == ""

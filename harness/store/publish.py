@@ -3,7 +3,7 @@
 Planned trials with their records and raw arrays, and the images of some materials; not the states
 of fitted methods, which are large and can be fitted again, nor trials of earlier plans, nor what
 takes much room and is shown otherwise: the images of ``pictures``. Long arrays are kept to four
-digits, records to seven. The database is one compressed file (:mod:`harness.store.whole`).
+digits, records to nine. The database is one compressed file (:mod:`harness.store.whole`).
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ _LEFT_OUT = {"pictures": "images"}
 _LONG, _BITS, _PICTURE_BITS = 32, 9, 13
 """Numbers of an array that is long; bits of their significands, of 23, that are rounded away, and
 of pictures, where one in two thousand cannot be seen."""
-_DIGITS = 7
+_DIGITS = 9
 """Of the numbers of a record."""
 
 
