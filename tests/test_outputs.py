@@ -194,7 +194,7 @@ def test_publishing_replaces_results_and_leaves_the_rest(here: Path):
     assert publish(first, target) == len(stores.KEYS)
     assert (target / "thesis.pdf").read_bytes() == (beside / "thesis.pdf").read_bytes() == MINE
     assert sorted(p.name for p in target.iterdir()) == [
-        "results.sqlite", "suite.yaml", "thesis.pdf"
+        "results.sqlite.xz", "suite.yaml", "thesis.pdf"
     ]  # fmt: skip
     other = here / "other"
     other.mkdir()
