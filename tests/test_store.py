@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +21,8 @@ from harness.measures.base import Outcome
 from harness.store import write
 from harness.store.folder import ResultsFolder
 from harness.store.lock import locked
-from harness.store.packing import array_bytes, array_of, pack, plain, unpack
+from harness.store.packing import array_bytes, array_of, pack, plain, plain_array, unpack
+from harness.store.publish import rounded
 from harness.store.stored import COLUMNS, Stored
 
 HASH, OTHER, THIRD = "0123456789abcdef", "fedcba9876543210", "00000000000000aa"
@@ -90,6 +92,23 @@ def test_an_array_comes_back_with_kind_and_shape(array: np.ndarray):
     assert array_bytes(np.asarray(array, order="F")) == array_bytes(array), (
         "one content, one digest"
     )
+
+
+@settings(max_examples=60, deadline=None)
+@given(arrays_of.arrays("f4", st.integers(0, 50)), st.booleans())
+def test_an_array_by_its_steps_is_the_same_array(array: np.ndarray, ordered: bool):
+    data = array_bytes(np.sort(array) if ordered else array)
+    assert unpack(plain_array(data)) == data
+    for spoiled in (b"~" + data[:-1], b"~no array"):
+        with suppress(ValueError):
+            assert unpack(spoiled) != data
+
+
+def test_sorted_numbers_take_less_by_their_steps():
+    data = array_bytes(rounded(np.sort(np.random.default_rng(3).gamma(0.5, size=400))))
+    assert plain_array(data)[:1] == b"~" and len(pack(plain_array(data))) < 0.9 * len(pack(data))
+    other = array_bytes(np.random.default_rng(3).standard_normal(400).astype("f4"))
+    assert plain_array(other) == plain(other) and plain_array(b"[]") == plain(b"[]")
 
 
 def test_bytes_are_compressed_with_a_dictionary_or_not_at_all():

@@ -5,11 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any
 
 from harness.analysis import constant_light, pooling
 from harness.analysis.pooling import Factor, Pooled
 from harness.analysis.process_pooling import PROCESSES, joined
+from harness.core.workers import together
 from harness.store.stored import Stored
 
 SAME_SPP, TIMED, EXACT = "equal-spp", "equal-time", "constant-light"
@@ -17,6 +19,10 @@ EQUAL_TIME, EQUAL_SPP = "speedup-equal-time", "speedup-equal-spp"
 
 Cell = tuple[str, str, str, int]
 """Material, method, scene, seed."""
+Cells = Mapping[Cell, Mapping[str, Stored]]
+"""Their trials by measure."""
+_MANY, _SHARES = 64, 8
+"""Cells that are worth a process, and how many parts they are divided into."""
 
 
 @dataclass
@@ -43,39 +49,69 @@ class Factors:
 
 def pooled(plan: Mapping[str, Any], trials: Mapping[str, Stored], baseline: str) -> Factors:
     """All timed trials of the plan with speed-ups over ``baseline`` (its label) by all renders."""
-    result = Factors(dict(trials))
     cells = _cells(plan, trials)
-    variances: dict[Cell, Pooled | None] = {}
-
-    def variance(cell: Cell) -> Pooled | None:
-        if cell not in variances:
-            at = cells.get(cell, {})
-            variances[cell] = constant_light.preferred(
-                at.get(EXACT), pooling.variance_of(at.get(SAME_SPP), at.get(TIMED))
-            )
-        return variances[cell]
-
-    for (material, method, scene, seed), at in cells.items():
-        timed, same_spp = at.get(TIMED), at.get(SAME_SPP)
-        if method == baseline:
-            continue
-        base = variance((material, baseline, scene, seed))
-        own = variance((material, method, scene, seed))
-        ratio = pooling.variance_ratio(base, own) if base and own else None
-        if same_spp is not None and ratio is not None:
-            result.found[same_spp.hash, EQUAL_SPP] = ratio
-        if timed is None or "seconds" not in timed.arrays:
-            continue
-        arrays = joined(timed.arrays)
-        if ratio is None or PROCESSES in arrays:
-            if not (base and own) and "compared" in arrays:
-                result.undiagnosed.add(timed.hash)
-            continue
-        times = (arrays["baseline_seconds"], arrays["seconds"])
-        made = {EQUAL_SPP: ratio, EQUAL_TIME: pooling.speed_up(ratio, *times)}
-        result.trials[timed.hash] = _with(timed, made)
-        result.found |= {(timed.hash, metric): factor for metric, factor in made.items()}
+    # Those of one material, scene and seed share a baseline, and nothing with others.
+    contests: dict[tuple, dict[Cell, Mapping[str, Stored]]] = {}
+    for cell, at in cells.items():
+        material, _, scene, seed = cell
+        contests.setdefault((material, scene, seed), {})[cell] = at
+    count = _SHARES if len(cells) >= _MANY else 1
+    shares = [list(contests.values())[first::count] for first in range(count)]
+    made = together({str(n): partial(_factors, share, baseline) for n, share in enumerate(shares)})
+    result = Factors(dict(trials))
+    for found, undiagnosed in made.values():
+        result.found |= found
+        result.undiagnosed |= undiagnosed
+    for at in cells.values():
+        if (timed := at.get(TIMED)) is not None and (timed.hash, EQUAL_TIME) in result.found:
+            own = {name: result.found[timed.hash, name] for name in (EQUAL_SPP, EQUAL_TIME)}
+            result.trials[timed.hash] = _with(timed, own)
     return result
+
+
+def _factors(
+    contests: Iterable[Cells], baseline: str
+) -> tuple[dict[tuple[str, str], Factor], set[str]]:
+    """``found`` and ``undiagnosed`` of :class:`Factors`, of cells of each contest."""
+    found: dict[tuple[str, str], Factor] = {}
+    undiagnosed: set[str] = set()
+    for cells in contests:
+        variances = {cell: _variance(at) for cell, at in cells.items()}
+        for cell, at in cells.items():
+            material, method, scene, seed = cell
+            if method != baseline:
+                base = variances.get((material, baseline, scene, seed))
+                _compare(at, base, variances[cell], found, undiagnosed)
+    return found, undiagnosed
+
+
+def _variance(at: Mapping[str, Stored]) -> Pooled | None:
+    rendered = pooling.variance_of(at.get(SAME_SPP), at.get(TIMED))
+    return constant_light.preferred(at.get(EXACT), rendered)
+
+
+def _compare(
+    at: Mapping[str, Stored],
+    base: Pooled | None,
+    own: Pooled | None,
+    found: dict[tuple[str, str], Factor],
+    undiagnosed: set[str],
+) -> None:
+    """Add to ``found`` or ``undiagnosed`` what one cell comes to."""
+    timed, same_spp = at.get(TIMED), at.get(SAME_SPP)
+    ratio = pooling.variance_ratio(base, own) if base and own else None
+    if same_spp is not None and ratio is not None:
+        found[same_spp.hash, EQUAL_SPP] = ratio
+    if timed is None or "seconds" not in timed.arrays:
+        return
+    arrays = joined(timed.arrays)
+    if ratio is None or PROCESSES in arrays:
+        if not (base and own) and "compared" in arrays:
+            undiagnosed.add(timed.hash)
+        return
+    times = (arrays["baseline_seconds"], arrays["seconds"])
+    found[timed.hash, EQUAL_SPP] = ratio
+    found[timed.hash, EQUAL_TIME] = pooling.speed_up(ratio, *times)
 
 
 def _cells(plan: Mapping[str, Any], trials: Mapping[str, Stored]) -> dict[Cell, dict[str, Stored]]:

@@ -76,9 +76,10 @@ class Results:
                 trials |= _lost(plan, trials, lost)
             trials = {key: renewed(trial) for key, trial in trials.items()}
             code = changed(store, trials)
-            old = code.stale | changed_files(plan)
-            found = pooled(plan, trials, baseline_of(plan))
-            table = between_all(frame(plan["trials"], found.trials, old, all))
+        old = code.stale | changed_files(plan)
+        # No database is open here: it may be shared among processes.
+        found = pooled(plan, trials, baseline_of(plan))
+        table = between_all(frame(plan["trials"], found.trials, old, all))
         earlier = code.earlier & set(table["trial"])
         return cls(Path(folder), table, plan, found.trials, factors=found, earlier=earlier)
 

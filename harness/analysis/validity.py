@@ -50,7 +50,14 @@ def changed(results: ResultsFolder, trials: Mapping[str, Stored]) -> Changed:
     for part, old, new, shared in code.equivalents(results):
         equal.setdefault((part, old, new), set()).add(shared)
     units: dict[str, Mapping[str, str]] = {}
-    now = {key: _current(known, trial, units) for key, trial in trials.items()}
+    # Most trials begin where many others do.
+    alike: dict[tuple[str, str], dict[str, str]] = {}
+    now: dict[str, dict[str, str]] = {}
+    for key, trial in trials.items():
+        begun = (repr(trial.entries), repr(list(trial.parts)))
+        if begun not in alike:
+            alike[begun] = _current(known, trial, units)
+        now[key] = alike[begun]
 
     @cache
     def details(part: str, old: str, new: str) -> list[str]:

@@ -59,9 +59,9 @@ class Report:
 
     def _written(self, report: Path, notify: Callable[[str], None]) -> list[Path]:
         # Figures take matplotlib, which printing tables does not.
+        from harness.core.workers import together
         from harness.report import drawing
         from harness.report.page.build import PARTS, Page, page
-        from harness.report.workers import together
 
         skipped = list(self.skipped)
         written = []

@@ -25,7 +25,7 @@ from harness.store import code, files, whole
 from harness.store.database import FILE, connect, make_tables, transaction
 from harness.store.folder import ResultsFolder
 from harness.store.lock import LOCK, claim, locked
-from harness.store.packing import plain, unpack
+from harness.store.packing import plain, plain_array, unpack
 from harness.store.stored import STATE, Stored
 
 _PICTURES = ("target", "pdf", "samples")
@@ -134,7 +134,8 @@ def _in_one_piece(folder: Path) -> None:
                 if table == "blob":
                     rows.sort(key=lambda row: (places.get(row[0], ("", "")), row[0]))
                 for row in rows:
-                    packed = [plain(unpack(v)) if isinstance(v, bytes) and v else v for v in row]
+                    form = plain_array if table == "blob" else plain
+                    packed = [form(unpack(v)) if isinstance(v, bytes) and v else v for v in row]
                     new.execute(f"INSERT INTO {table} VALUES ({', '.join('?' * len(row))})", packed)
         whole.write(new, folder / whole.WHOLE)
     (folder / FILE).unlink()

@@ -1,4 +1,4 @@
-"""Parts of a report on all cores, where that is safe."""
+"""Independent parts of reading results on all cores, where that is safe."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import gc
 import multiprocessing
 import os
 import sys
+import threading
 from collections.abc import Callable, Mapping
 from concurrent.futures import ProcessPoolExecutor
 from typing import Any
@@ -25,7 +26,7 @@ def together(
     ``notify`` is told each name before it is waited for. What a task raises is raised.
     """
     workers = min(len(tasks), len(os.sched_getaffinity(0)))
-    if workers < 2 or any(library in sys.modules for library in _THREADED):
+    if workers < 2 or not _may_fork():
         return {name: task() for name, task in tasks.items() if _told(notify, name)}
     _tasks.update(tasks)
     try:
@@ -35,6 +36,14 @@ def together(
             return {name: one.result() for name, one in begun.items() if _told(notify, name)}
     finally:
         _tasks.clear()
+
+
+def _may_fork() -> bool:
+    """Whether this process runs no thread that a forked one would lack, and may have children."""
+    threaded = any(library in sys.modules for library in _THREADED)
+    return not (
+        threaded or threading.active_count() > 1 or multiprocessing.current_process().daemon
+    )
 
 
 def _begin() -> None:
