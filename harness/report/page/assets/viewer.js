@@ -9,7 +9,7 @@ function setUpViewer() {
   const place = section("images", "Where the images differ");
   const sizes = report.images.sizes.join(", ");
   const exactly = report.images.exact ? "Values are half floats, as stored."
-    : `Values are compressed with loss, off by up to ${percent(num(report.images.off))} of an image's root mean square.`;
+    : `Values are rounded, off by up to ${percent(num(report.images.off))} of an image's root mean square.`;
   place.append(el("p", { class: "dim" },
     `Rendered in equal time, at ${sizes} pixels; the reference is a long render, or the mean of all unbiased methods' long ones. ${exactly} Number keys, arrow keys in the list and hovering flip; the wheel zooms, dragging pans, a double press shows all again. With the image in focus, arrows move it, + and − zoom, Home shows all, and Shift with arrows reads a pixel.`));
   const top = el("div", { class: "form" });
