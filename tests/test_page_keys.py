@@ -139,7 +139,8 @@ def test_a_stranger_is_told_which_by_how_much_whether_it_holds_and_where(tab, ma
                      said)  # fmt: skip
     assert used and used[1].strip() in labels and used[2] == samples
     # A factor with its interval, or that there is none.
-    next_is = r"The next, (?P<next>.+), takes (?P<v>[\d.e−]+)× \[(?P<l>[\d.e−]+), (?P<h>[\d.e−]+)\] as long"
+    factor = r"(?P<v>[\d.e−]+)× \[(?P<l>[\d.e−]+), (?P<h>[\d.e−]+)\]"
+    next_is = rf"The next, (?P<next>.+), takes {factor} as long"
     unknown = r"How much longer the next, (?P<next>.+), takes is not resolved"
     margin = re.search(next_is, said) or re.search(unknown, said)
     assert margin, said
