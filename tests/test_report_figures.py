@@ -18,11 +18,12 @@ from harness.analysis.combine import Estimate
 from harness.analysis.quantities import nanoseconds_per_sample
 from harness.analysis.records.convergence import curve_of
 from harness.analysis.results import MethodColumn, Results
-from harness.report.figures import fonts, images, palette
+from harness.report.figures import fonts, palette
 from harness.report.figures.canvas import Canvas
 from harness.report.figures.curve_grid import groups
 from harness.report.figures.log_panel import LogPanel, powers_of_ten, tick_label, ticks
 from harness.report.figures.palette import looks
+from harness.report.figures.picture_row import row_of
 from harness.report.figures.rendered import exposure, reference, srgb
 from harness.report.figures.small_multiples import Labels, panels
 from harness.report.figures.style import styled
@@ -169,7 +170,7 @@ def test_thumbnails_are_of_the_materials_that_were_rendered(tmp_path: Path):
     made = Made(materials=MATERIALS[:7], bias={("cosine", MATERIALS[0]): 1e-9})
     results = Results.load(made.write(tmp_path))
     (sheet,) = part("figures", "materials")(results, Canvas(tmp_path))
-    assert sheet.png.name == "materials-studio-sphere.png" and sheet.width == 6 * 165
+    assert sheet.png.name == "materials-studio-sphere.png" and sheet.width == 7 * 110
     at = (MATERIALS[0], "cosine", "studio-sphere")
     before = reference(results, MATERIALS[0], "studio-sphere")
     results.stored(results.trials("equal-spp", *at)[0]).images["mean"][:] = 1e6
@@ -312,5 +313,5 @@ def test_pictures_leave_out_what_the_suite_does_not_plan(tmp_path: Path):
     results = Results.load(folder)
     results.methods.append(MethodColumn("elsewhere", "tabulated"))
     material, scene = results.materials[0], results.scenes("equal-time")[0]
-    row = images._row(results, material, scene)
+    row = row_of(results, material, scene, 1)
     assert [shot.method.label for shot in row.shots] == ["cosine", "improved-baseline"]

@@ -40,7 +40,7 @@ from matplotlib.figure import Figure
 def blank(results, canvas):
     """Nothing, drawn."""
     figure = Figure(figsize=(1, 1))
-    return [canvas.save(figure, "blank", "Blank", "Nothing.", vector=False)]
+    return [canvas.save(figure, "blank", "Blank", "Nothing.")]
 '''
 
 

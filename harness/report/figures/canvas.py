@@ -54,24 +54,15 @@ class Canvas:
         which, of = self.share
         return list(figures)[which::of]
 
-    def save(
-        self, figure: Figure, name: str, title: str, caption: str, vector: bool = True
-    ) -> Drawn:
-        """Write ``name``.png, and .pdf where lines make up the figure. No dates inside."""
+    def save(self, figure: Figure, name: str, title: str, caption: str) -> Drawn:
+        """Write ``name``.pdf, and .png of what the PDF shows. No dates inside."""
         self.folder.mkdir(parents=True, exist_ok=True)
         stem = re.sub(r"[^A-Za-z0-9._-]+", "-", name)
-        png = self.folder / f"{stem}.png"
-        options = {"compress_level": _PNG_LEVEL}
-        if vector:
-            pdf = png.with_suffix(".pdf")
-            figure.savefig(pdf, metadata={"CreationDate": None, "Producer": None, "Creator": None})
-            _rasterised(pdf).save(png, **options)
-            files = [png, pdf]
-        else:
-            figure.savefig(png, dpi=DPI, metadata={"Software": None}, pil_kwargs=options)
-            files = [png]
+        png, pdf = (self.folder / f"{stem}.{end}" for end in ("png", "pdf"))
+        figure.savefig(pdf, metadata={"CreationDate": None, "Producer": None, "Creator": None})
+        _rasterised(pdf).save(png, compress_level=_PNG_LEVEL)
         width, height = (round(_CSS_PIXELS * inches) for inches in figure.get_size_inches())
-        self.drawn.append(Drawn(png, files, title, caption, width, height))
+        self.drawn.append(Drawn(png, [png, pdf], title, caption, width, height))
         return self.drawn[-1]
 
 

@@ -21,9 +21,9 @@ _LEFT, _GAP, _BETWEEN, _FOOT = 0.62, 0.1, 0.18, 0.42
 """Inches: left of the panels, between two of a column and between two columns, and below."""
 _ROW = 0.13
 """Inches that a name at a column's head takes."""
-_NAME = 0.19
+_NAME = 0.17
 """Inches above a panel for its material's name."""
-_TALL, _LOW, _MANY = 1.15, 0.64, 5
+_TALL, _LOW, _MANY = 1.15, 0.5, 5
 """Inches that a panel is high, and where there are more materials than so many."""
 _MOST = 4
 """Methods of a column beside the baseline."""

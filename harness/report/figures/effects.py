@@ -56,7 +56,6 @@ def _figure(
         "effect that it calls for (or with one that it does not). Below each: FLIP's map of the "
         "change (black none, yellow a third and more), what it adds to the time of a sample per "
         "pixel, and the verdict.",
-        vector=False,
     )
 
 

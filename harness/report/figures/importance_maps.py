@@ -72,7 +72,6 @@ def importance_maps(results: Results, canvas: Canvas) -> list[Drawn] | str:
                 "comes back when uniform points go through the bilinearly interpolated map and "
                 "are counted. Under the map the mean and the 99th percentile of its gradient; "
                 "under the counts the share of the probability that is in the wrong cell.",
-                vector=False,
             )
         ]
 

@@ -5,12 +5,13 @@ from __future__ import annotations
 from harness.analysis.results import Results
 from harness.report.figures.canvas import Canvas, Drawn, picture, sheet
 from harness.report.figures.rendered import exposure, reference, srgb
-from harness.report.figures.style import styled
+from harness.report.figures.style import LABEL, PAGE, styled
 
 ORDER = 10
 MEASURE = "equal-spp"
-_ACROSS, _CELL, _LABEL = 6, 1.5, 0.22
-"""Thumbnails side by side; inches of a thumbnail and of the name above it."""
+_ACROSS, _LABEL = 6, 0.2
+_CELL = PAGE / _ACROSS
+"""Thumbnails side by side; inches of the name above one and of a thumbnail."""
 
 
 def materials(results: Results, canvas: Canvas) -> list[Drawn] | str:
@@ -33,7 +34,9 @@ def materials(results: Results, canvas: Canvas) -> list[Drawn] | str:
                 box = (left + 0.02, bottom + 0.02, _CELL - 0.04, tall - 0.04)
                 picture(axes, srgb(image, exposure(image)), box, interpolation="lanczos")
                 middle = left + _CELL / 2
-                axes.text(middle, bottom + tall + 0.04, name, ha="center", va="bottom")
+                axes.text(
+                    middle, bottom + tall + 0.04, name, ha="center", va="bottom", fontsize=LABEL
+                )
             drawn.append(
                 canvas.save(
                     figure,
@@ -41,7 +44,6 @@ def materials(results: Results, canvas: Canvas) -> list[Drawn] | str:
                     f"The materials in {scene}",
                     f"The materials in the scene {scene}, each with its own exposure: the mean of "
                     "the long renders of all methods that show no bias.",
-                    vector=False,
                 )
             )
     return drawn or f"no trial of the measure {MEASURE} stored an image"

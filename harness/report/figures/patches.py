@@ -9,13 +9,13 @@ from numpy.typing import NDArray
 from harness.analysis.results import Results
 from harness.report.figures.canvas import Canvas, Drawn, picture, sheet
 from harness.report.figures.rendered import LUMINANCE, exposure, srgb
-from harness.report.figures.style import styled
+from harness.report.figures.style import LABEL, PAGE, TICK, TITLE, styled
 from harness.report.formats.short import short
 
 ORDER = 133
 MEASURE = "patches"
 _CELL, _GAP, _LEFT, _TOP, _UNDER = 1.3, 0.04, 0.28, 0.4, 0.18
-"""Inches."""
+"""Inches; a picture is at most ``_CELL`` wide, and smaller where a page would be too narrow."""
 _HEADS = ("geometry", "learned", "error")
 
 
@@ -32,30 +32,34 @@ def patches(results: Results, canvas: Canvas) -> list[Drawn] | str:
 
 
 def _figure(results: Results, canvas: Canvas, label: str) -> Drawn:
-    scenes = results.scenes(MEASURE)
+    scenes = [s for s in results.scenes(MEASURE) if results.trials(MEASURE, None, label, s)]
     materials = [m for m in results.materials if results.trials(MEASURE, m, label)]
-    wide = 3 * _CELL + 2 * _GAP
-    line = _CELL + _UNDER
+    cell = min(_CELL, (PAGE - _LEFT) / (3 * len(scenes)) - 5 / 3 * _GAP)
+    wide = 3 * cell + 2 * _GAP
+    line = cell + _UNDER
     height = _TOP + line * len(materials)
     figure, axes = sheet(_LEFT + len(scenes) * (wide + 3 * _GAP), height)
     for r, material in enumerate(materials):
-        y = height - _TOP - r * line - _CELL
-        axes.text(_LEFT / 2, y + _CELL / 2, material, rotation=90, ha="center", va="center")
+        y = height - _TOP - r * line - cell
+        axes.text(_LEFT / 2, y + cell / 2, material, rotation=90, ha="center", va="center",
+                  fontsize=LABEL)  # fmt: skip
         for s, scene in enumerate(scenes):
             x = _LEFT + s * (wide + 3 * _GAP)
             if r == 0:
-                axes.text(x + wide / 2, height - 0.05, scene, ha="center", va="top", fontsize=9)
+                axes.text(x + wide / 2, height - 0.05, scene, ha="center", va="top", fontsize=TITLE)
                 for k, head in enumerate(_HEADS):
-                    middle = x + k * (_CELL + _GAP) + _CELL / 2
-                    axes.text(middle, y + _CELL + 0.03, head, ha="center", va="bottom", fontsize=7)
+                    middle = x + k * (cell + _GAP) + cell / 2
+                    axes.text(
+                        middle, y + cell + 0.03, head, ha="center", va="bottom", fontsize=LABEL
+                    )
             trials = results.trials(MEASURE, material, label, scene)
             if trials:
                 images = results.stored(trials[0]).images
-                _three(axes, images["truth"], images["learned"], x, y)
+                _three(axes, images["truth"], images["learned"], (x, y), cell)
                 found = results.number(MEASURE, "macro-error", material, label, scene)
                 if not isinstance(found, str):
                     text = f"difference at large {short(found.value)}"
-                    axes.text(x + wide / 2, y - 0.02, text, ha="center", va="top", fontsize=6.5)
+                    axes.text(x + wide / 2, y - 0.02, text, ha="center", va="top", fontsize=TICK)
     return canvas.save(
         figure,
         f"patches-{label}",
@@ -65,16 +69,17 @@ def _figure(results: Results, canvas: Canvas, label: str) -> Drawn:
         "in luminance (black 0, yellow half of white). Difference at large: of means over 6 x 6 "
         "blocks of the picture, squared, over the truth's mean square, the noise taken off. A "
         "material without a texture shows the mean over its tile, also close up.",
-        vector=False,
     )
 
 
-def _three(axes: Axes, truth: NDArray, learned: NDArray, x: float, y: float) -> None:
+def _three(
+    axes: Axes, truth: NDArray, learned: NDArray, at: tuple[float, float], cell: float
+) -> None:
     scale = exposure(truth)
     error = np.abs((learned.astype(float) - truth) @ LUMINANCE) * scale
 
     def box(k: int) -> tuple[float, float, float, float]:
-        return (x + k * (_CELL + _GAP), y, _CELL, _CELL)
+        return (at[0] + k * (cell + _GAP), at[1], cell, cell)
 
     picture(axes, srgb(truth, scale), box(0))
     picture(axes, srgb(learned, scale), box(1))

@@ -11,6 +11,8 @@ from harness.report.figures.fonts import family
 
 PAGE = 7.0
 """Inches: both columns of a page. A figure this wide is printed as large as it is drawn."""
+TALL = 9.3
+"""Inches: most that a figure is high, with its caption below on A4 or letter."""
 TITLE, LABEL, TICK = 8.0, 7.0, 6.0
 """Points: names of panels, of axes and methods, numbers along axes."""
 INK, FAINT, GRID = "#333333", "#777777", "#e2e2e2"

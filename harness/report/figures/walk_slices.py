@@ -63,7 +63,6 @@ def walk_slices(results: Results, canvas: Canvas) -> list[Drawn] | str:
                 "KL: of the particles' directions to the learned density, what counts add by "
                 "chance taken off. Latent texture: its three directions of most variance, as "
                 "colours.",
-                vector=False,
             )
         ]
 

@@ -1,7 +1,8 @@
 """Renders and their references with all their values, error maps, and the squares that tell most.
 
 Values are half floats, as they are stored. Where those of a whole suite are more than a page can
-carry, they are 8 bits of a logarithm in WebP instead, and the page says how far these are off.
+carry, they are 8 or 7 bits of a logarithm in lossless WebP instead, or in lossy WebP where that is
+too much, and the page says how far these are off.
 """
 
 from __future__ import annotations
@@ -32,15 +33,17 @@ from harness.report.series.shots import (
     truth,
 )
 
-BUDGET = 8_000_000
+BUDGET = 5_000_000
 """Characters of all images of a page."""
-_HALF_COST = 2.2
-"""Characters that a half float takes, about: noise does not deflate."""
+_COSTS = {0: 2.2, 255: 0.64, 127: 0.5}
+"""Characters that a value of noise takes, about: as a half float (0), or as one of so many steps of
+a logarithm."""
 _FLIP_LIMIT = 6e6
 """Pixels of which FLIP's maps are made: it takes a second for a million."""
 _STOPS = 20.0
 """Powers of two that 8 bits of a logarithm span, below the brightest value."""
 _QUALITY = 80
+"""Of lossy WebP."""
 
 
 def pictures(results: Results) -> dict[str, Any]:
@@ -56,8 +59,8 @@ def pictures(results: Results) -> dict[str, Any]:
     total = sum(image.size for image in images) + sum(
         next(s.image for s in made if s.image is not None).size for *_, made in found
     )
-    exact = _HALF_COST * total <= BUDGET
-    store = _Pixels(exact)
+    fits = [steps for steps, cost in _COSTS.items() if cost * total <= BUDGET]
+    store = _Pixels(fits[0] if fits else None)
     with_flip = sum(image.shape[0] * image.shape[1] for image in images) <= _FLIP_LIMIT
     groups = [
         _group(results, names, store, scene, material, made, with_flip)
@@ -66,7 +69,7 @@ def pictures(results: Results) -> dict[str, Any]:
     return {
         "groups": groups,
         "pixels": store.kept,
-        "exact": exact,
+        "exact": store.exact,
         "off": number(store.worst, 2),
         "flip": with_flip,
     }
@@ -143,12 +146,19 @@ def _where(at: Square, image: NDArray) -> str:
 
 
 class _Pixels:
-    """Images as text, each once; ``worst`` is the largest relative error of one that is lossy."""
+    """Images as text, each once; ``worst`` is the largest relative error of one that is lossy.
 
-    def __init__(self, exact: bool):
+    ``steps`` of a logarithm are kept, all digits with 0, and with None what lossy WebP keeps.
+    """
+
+    def __init__(self, steps: int | None):
         self.kept: list[dict[str, Any]] = []
-        self.exact = exact
+        self.steps = steps
         self.worst = 0.0
+
+    @property
+    def exact(self) -> bool:
+        return self.steps == 0
 
     def keep(self, image: NDArray) -> int:
         """The place of an image [H, W, 3]."""
@@ -165,30 +175,36 @@ class _Pixels:
         if self.exact:
             self.kept.append(packed(image))
         else:
-            self.kept.append({"shape": list(image.shape), "webp": _webp(image)})
+            self.kept.append({"shape": list(image.shape), "webp": _webp(image, lossless=False)})
         return len(self.kept) - 1
 
     def _lossy(self, image: NDArray) -> dict[str, Any]:
         from PIL import Image
 
+        steps = self.steps or 255
         top = math.log2(max(float(np.max(image[np.isfinite(image)], initial=0.0)), 1e-30))
         light = np.maximum(image, 2.0 ** (top - _STOPS))
-        step = (np.log2(light) - top + _STOPS) / _STOPS
-        text = _webp(np.round(255 * np.clip(step, 0, 1)).astype(np.uint8))
+        share = (np.log2(light) - top + _STOPS) / _STOPS
+        text = _webp(
+            np.round(steps * np.clip(share, 0, 1)).astype(np.uint8), self.steps is not None
+        )
         back = np.asarray(Image.open(io.BytesIO(base64.b64decode(text))).convert("RGB"), float)
-        found = 2.0 ** (back / 255 * _STOPS + top - _STOPS)
+        found = 2.0 ** (back / steps * _STOPS + top - _STOPS)
         scale = float(np.sqrt(np.square(image).mean()))
         if scale > 0:
             off = float(np.sqrt(np.square(found - image).mean())) / scale
             self.worst = max(self.worst, off)
-        return {"shape": list(image.shape), "webp": text, "top": top, "stops": _STOPS}
+        return {
+            "shape": list(image.shape), "webp": text, "top": top, "stops": _STOPS, "steps": steps,
+        }  # fmt: skip
 
 
-def _webp(image: NDArray[np.uint8]) -> str:
+def _webp(image: NDArray, lossless: bool) -> str:
     from PIL import Image
 
+    how = {"lossless": True, "quality": 20, "method": 1} if lossless else {"quality": _QUALITY}
     out = io.BytesIO()
-    Image.fromarray(image).convert("RGB").save(out, "WEBP", quality=_QUALITY, method=2)
+    Image.fromarray(image).convert("RGB").save(out, "WEBP", **({"method": 2} | how))
     return base64.b64encode(out.getvalue()).decode("ascii")
 
 

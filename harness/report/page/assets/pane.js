@@ -3,6 +3,7 @@
 
 const view = { x: 0.5, y: 0.5, zoom: 1, pointer: null };
 const panes = new Set();
+const PANE_KEYS = "arrows move, + and − zoom, Home shows all, Shift and arrows read a pixel, 0 to 9 flip";
 
 /** The same view for all panes: `x`, `y` in shares of the image, `zoom` 1 shows all of it. */
 function look(values) {
@@ -16,7 +17,7 @@ function look(values) {
 
 /** A canvas; `paintOn(context, place)` draws with `place` mapping shares of the image to pixels. */
 function makePane(label, group, paintOn, pointed) {
-  const canvas = el("canvas", { tabindex: 0, role: "img", "aria-label": label });
+  const canvas = el("canvas", { tabindex: 0, role: "img", "aria-label": `${label}: ${PANE_KEYS}` });
   const pane = { canvas, draw };
   const ratio = () => group.height / group.width;
 
@@ -90,11 +91,29 @@ function makePane(label, group, paintOn, pointed) {
   canvas.addEventListener("pointerup", () => { held = null; });
   canvas.addEventListener("pointerleave", () => { view.pointer = null; look({}); pointed(); });
   canvas.addEventListener("dblclick", () => look({ x: 0.5, y: 0.5, zoom: 1 }));
+  // The pixel that is read moves by one, from the middle of what is in sight.
+  function readNext(across, down) {
+    const [x, y] = view.pointer || [Math.floor(view.x * group.width), Math.floor(view.y * group.height)];
+    const within = (v, size) => Math.min(size - 1, Math.max(0, v));
+    const [column, row] = [within(x + across, group.width), within(y + down, group.height)];
+    view.pointer = [column, row];
+    const half = 0.5 / view.zoom;
+    const keep = (at, share) => Math.min(share + half, Math.max(share - half, at));
+    look({ x: keep(view.x, (column + 0.5) / group.width), y: keep(view.y, (row + 0.5) / group.height) });
+    pointed();
+  }
+
   canvas.addEventListener("keydown", (event) => {
+    const steps = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] };
+    if (event.shiftKey && steps[event.key]) {
+      event.preventDefault();
+      readNext(...steps[event.key]);
+      return;
+    }
     const step = 0.1 / view.zoom;
     const moves = { ArrowLeft: { x: view.x - step }, ArrowRight: { x: view.x + step },
       ArrowUp: { y: view.y - step }, ArrowDown: { y: view.y + step },
-      "+": { zoom: view.zoom * 1.5 }, "-": { zoom: view.zoom / 1.5 } };
+      "+": { zoom: view.zoom * 1.5 }, "-": { zoom: view.zoom / 1.5 }, Home: { x: 0.5, y: 0.5, zoom: 1 } };
     if (!moves[event.key]) return;
     event.preventDefault();
     look(moves[event.key]);

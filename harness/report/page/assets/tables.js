@@ -31,7 +31,7 @@ function wholeTable(table) {
       && !isHidden("methods", table.columnMethods[i]));
     refill(body, table.sections
       .filter((part) => !isHidden("scenes", part.scene))
-      .map((part, at) => tableSection(table, part, at, columns, state, draw)));
+      .map((part, at) => tableSection(table, part, at, columns, state)));
   };
   const filter = el("input", { type: "search", placeholder: `filter by ${table.corner}`,
     "aria-label": `Filter rows of ${table.title}`,
@@ -49,27 +49,49 @@ function wholeTable(table) {
       el("span", { class: "files" }, "as ", files.flatMap((one, i) => (i ? [" · ", one] : [one])))),
     body,
     table.constant.length ? el("p", { class: "caption" }, table.constant.join(" ")) : null,
-    el("ul", { class: "notes" }, table.legend.map((line) => el("li", {}, line)),
-      table.notes.map((note, i) => el("li", { value: i + 1 }, el("sup", {}, i + 1), " ", note))));
+    el("ul", { class: "notes" }, table.legend.map((line) => el("li", {}, line))),
+    notesOf(table));
 }
 
-function tableSection(table, part, at, columns, state, redraw) {
+/** What the marks † and ‡ of a table's numbers stand for; many are folded, hovering tells each. */
+function notesOf(table) {
+  if (!table.notes.length) return null;
+  const list = el("ul", { class: "notes" },
+    table.notes.map((note, i) => el("li", { value: i + 1 }, el("sup", {}, i + 1), " ", note)));
+  return table.notes.length < 8 ? list : el("details", { class: "notes" },
+    el("summary", {}, `${table.notes.length} notes on numbers, † and ‡ (also shown over each)`), list);
+}
+
+function tableSection(table, part, at, columns, state) {
   const rows = part.rows.filter((row) => !isHidden("materials", row.material)
     && !isHidden("methods", row.method) && row.label.toLowerCase().includes(state.filter));
-  const sort = state.sort[at];
-  const sorted = sort ? inOrder(rows, sort) : rows;
-  const cells = rows.flatMap((row) => columns.map((i) => row.cells[i]));
+  const absent = absentColumns(rows, columns);
+  const mine = columns.filter((i) => !absent.has(i));
+  const cells = rows.flatMap((row) => mine.map((i) => row.cells[i]));
   const axis = scaleOf(cells.flatMap((cell) => (cell.l === undefined ? [] : [num(cell.v), num(cell.l), num(cell.h)])
     .filter((v) => Number.isFinite(v))));
-  const heading = (name, column) => {
-    const active = sort && sort.column === column;
-    const set = () => { state.sort[at] = nextSort(sort, column, table.best); redraw(); };
-    return el("th", { scope: "col", "aria-sort": active ? (sort.up ? "ascending" : "descending") : "none" },
-      button(`${name}${active ? (sort.up ? " ▲" : " ▼") : ""}`, set));
+  const made = new Map(rows.map((row) => [row, tableRow(table, part, row, mine, axis)]));
+  const body = el("tbody", {});
+  const heads = el("tr", {});
+  let sorted = rows;
+  // Rows are moved, not made again.
+  const arrange = () => {
+    const sort = state.sort[at];
+    sorted = sort ? inOrder(rows, sort) : rows;
+    body.append(...sorted.map((row) => made.get(row)));
+    for (const head of heads.children) {
+      const up = sort && sort.column === Number(head.dataset.column) ? sort.up : null;
+      head.setAttribute("aria-sort", up === null ? "none" : up ? "ascending" : "descending");
+      head.firstChild.dataset.sorted = up === null ? "" : up ? " ▲" : " ▼";
+    }
   };
-  const grid = el("table", { class: table.words ? "words" : "" },
-    el("thead", {}, el("tr", {}, heading(table.corner, -1), columns.map((i) => heading(table.columns[i], i)))),
-    el("tbody", {}, sorted.map((row) => tableRow(table, part, row, columns, axis))));
+  const heading = (name, column) => el("th", { scope: "col", data: { column } }, button(name, () => {
+    state.sort[at] = nextSort(state.sort[at], column, table.best);
+    arrange();
+  }));
+  heads.append(heading(table.corner, -1), ...mine.map((i) => heading(table.columns[i], i)));
+  arrange();
+  const grid = el("table", { class: table.words ? "words" : "" }, el("thead", {}, heads), body);
   grid.addEventListener("click", (event) => {
     const pressed = event.target.closest("button[data-row]");
     if (!pressed) return;
@@ -79,7 +101,25 @@ function tableSection(table, part, at, columns, state, redraw) {
       cell.no === undefined ? `${cell.t} ${cell.i || ""}` : "†"].filter(Boolean).join(" · "));
   });
   return el("div", {}, part.title ? el("h4", {}, part.title) : null,
-    el("div", { class: "scroll", tabindex: 0, role: "region", "aria-label": part.title || table.title }, grid));
+    el("div", { class: "scroll", tabindex: 0, role: "region", "aria-label": part.title || table.title }, grid),
+  absent.size ? el("p", { class: "caption" }, withoutNumber(table, rows, absent)) : null);
+}
+
+/** Columns (of several) in which no row has a number or a trial, all for the same reason. */
+function absentColumns(rows, columns) {
+  const alike = (i) => rows.every((row) => row.cells[i].no !== undefined && !row.cells[i].k
+    && row.cells[i].no === rows[0].cells[i].no);
+  const found = rows.length > 2 ? columns.filter(alike) : [];
+  return new Set(found.length < columns.length ? found : []);
+}
+
+function withoutNumber(table, rows, absent) {
+  const by = new Map();
+  for (const i of absent) {
+    const why = table.notes[rows[0].cells[i].no];
+    by.set(why, [...(by.get(why) || []), table.columns[i]]);
+  }
+  return [...by].map(([why, names]) => `Without a number here: ${names.join(", ")} (${why}).`).join(" ");
 }
 
 /** Sorted by a column, what has no number last, means below all. */

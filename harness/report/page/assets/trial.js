@@ -34,7 +34,8 @@ function openTrials(places, about = "") {
     fill();
     dialog.append(made);
   });
-  if (!dialog.open) dialog.showModal();
+  // Not showModal: it makes the whole page inert, which takes as long as a page has elements.
+  if (!dialog.open) dialog.show();
   dialog.scrollTop = 0;
   const key = report.trials.list[places[0]].key;
   history.replaceState(null, "", `#trial=${key}`);
@@ -117,8 +118,36 @@ function tree(name, data, open = false) {
     entries.map(([key, value]) => tree(key, value)));
 }
 
+/** Keys and presses while a trial is open: it keeps the focus, and gives it back when it closes. */
+function keepFocus() {
+  document.addEventListener("keydown", (event) => {
+    if (!dialog.open) return;
+    if (event.key === "Escape") {
+      event.preventDefault();
+      dialog.close();
+    }
+    if (event.key !== "Tab") return;
+    const inside = [...dialog.querySelectorAll(FOCUSABLE)].filter((one) => one.offsetParent !== null);
+    const at = inside.indexOf(document.activeElement);
+    const next = event.shiftKey ? at - 1 : at + 1;
+    if (at >= 0 && next >= 0 && next < inside.length) return;
+    event.preventDefault();
+    inside[event.shiftKey ? inside.length - 1 : 0].focus();
+  });
+  // A press beside it closes it and does nothing else. Plots open trials before the press's click.
+  let beside = false;
+  document.addEventListener("pointerdown", (event) => { beside = dialog.open && !dialog.contains(event.target); }, true);
+  document.addEventListener("click", (event) => {
+    if (!beside) return;
+    beside = false;
+    event.stopPropagation();
+    event.preventDefault();
+    dialog.close();
+  }, true);
+}
+
 function setUpTrials() {
-  dialog.addEventListener("click", (event) => { if (event.target === dialog) dialog.close(); });
+  keepFocus();
   dialog.addEventListener("close", () => {
     if (location.hash.startsWith("#trial=")) history.replaceState(null, "", location.pathname);
   });

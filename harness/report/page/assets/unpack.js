@@ -67,7 +67,7 @@ async function unpackImage(place) {
   return { width, height, planes: [0, 1, 2].map((c) => all.subarray(c * size, (c + 1) * size)) };
 }
 
-/** Of 8 bits of a logarithm, or of a map of errors. */
+/** Of steps of a logarithm, or of a map of errors. */
 async function unpackWebp(packed) {
   const blob = new Blob([bytesOf(packed.webp)], { type: "image/webp" });
   const bitmap = await createImageBitmap(blob, { colorSpaceConversion: "none" });
@@ -79,7 +79,7 @@ async function unpackWebp(packed) {
   const planes = (packed.stops ? [0, 1, 2] : [0]).map((channel) => {
     const plane = new Float32Array(width * height);
     for (let i = 0; i < plane.length; i += 1) {
-      const step = data[4 * i + channel] / 255;
+      const step = data[4 * i + channel] / (packed.steps || 255);
       plane[i] = packed.stops ? 2 ** (step * packed.stops + packed.top - packed.stops) : step;
     }
     return plane;

@@ -9,9 +9,9 @@ function setUpViewer() {
   const place = section("images", "Where the images differ");
   const sizes = report.images.sizes.join(", ");
   const exactly = report.images.exact ? "Values are half floats, as stored."
-    : `Values are compressed with loss, off by up to ${percent(num(report.images.off))} of an image's root mean square.`;
+    : `Values are rounded, off by up to ${percent(num(report.images.off))} of an image's root mean square.`;
   place.append(el("p", { class: "dim" },
-    `Rendered in equal time, at ${sizes} pixels; the reference is a long render, or the mean of all unbiased methods' long ones. ${exactly} Number keys and hovering flip, the wheel zooms, dragging pans, a double press shows all again.`));
+    `Rendered in equal time, at ${sizes} pixels; the reference is a long render, or the mean of all unbiased methods' long ones. ${exactly} Number keys, arrow keys in the list and hovering flip; the wheel zooms, dragging pans, a double press shows all again. With the image in focus, arrows move it, + and − zoom, Home shows all, and Shift with arrows reads a pixel.`));
   const top = el("div", { class: "form" });
   const stage = el("div", { class: "stage" });
   const values = el("div", { class: "values scroll", tabindex: 0 });
@@ -22,6 +22,17 @@ function setUpViewer() {
     const shots = group ? shownShots(group) : [];
     const at = event.key === "0" ? -1 : Number(event.key) - 1;
     if (at < shots.length) flipTo(at < 0 ? -1 : shots[at].method);
+  });
+  // Beyond nine methods there are no digits.
+  place.addEventListener("keydown", (event) => {
+    const list = event.target.closest(".flips");
+    const step = { ArrowDown: 1, ArrowUp: -1 }[event.key];
+    if (!list || !step) return;
+    event.preventDefault();
+    const all = [...list.children];
+    const next = all[Math.min(all.length - 1, Math.max(0, all.indexOf(event.target) + step))];
+    next.focus();
+    flipTo(Number(next.dataset.method));
   });
   viewer.redraw = () => drawViewer(top, stage, values);
   whenSeen(place, () => followKey(cellKey, viewer.redraw, place));
@@ -194,7 +205,7 @@ function wipeStage(group, stage, pointed) {
 /** The values of all methods under the pointer. */
 async function pixelValues(group, place) {
   if (!view.pointer) {
-    place.replaceChildren(el("p", { class: "dim" }, "Point at the image to read its values."));
+    place.replaceChildren(el("p", { class: "dim" }, "Point at the image to read its values (or Shift and arrows with the image in focus)."));
     return;
   }
   const [x, y] = view.pointer;
