@@ -27,7 +27,8 @@ def test_make_writes_a_page_whose_links_lead_somewhere(failing: Path):
         for end in ("md", "csv", "tex"):
             assert report / f"{name}.{end}" in files
     for name in ("tradeoff", "convergence", "slices"):
-        assert report / "figures" / f"{name}.pdf" in files
+        drawn = [path for path in files if path.parent.name == "figures" and name in path.name]
+        assert {path.suffix for path in drawn} == {".pdf", ".png"}
     parser = Balanced()
     text = files[0].read_text("utf-8")
     parser.feed(text)
@@ -106,4 +107,5 @@ def test_the_report_imports_nothing_that_measures():
 def test_twelve_by_eleven(tmp_path: Path):
     folder = Made(materials=MATERIALS, methods=list(METHODS)).write(tmp_path)
     files = reports.load(folder).write()
-    assert len([path for path in files if path.name.startswith("images-")]) == 12
+    names = [path.name for path in files if path.name.startswith("images-")]
+    assert all(any(material in name for name in names) for material in MATERIALS)
