@@ -7,6 +7,7 @@ import sqlite3
 from contextlib import closing
 from pathlib import Path
 
+import numpy as np
 import pandas as pd
 import pytest
 
@@ -135,3 +136,24 @@ def test_a_file_that_is_replaced_is_read_anew(published: Path):
     publish(source, published)
     with ResultsFolder(published) as store:
         assert store.trial(key).arrays["numbers"][0] == 9
+
+
+def test_large_images_go_along_of_the_methods_named_to_two_digits(tmp_path: Path):
+    made = Made(materials=["suede", "brocade"], measures=("pictures", "equal-time"))
+    source = made.write(tmp_path / "source")
+    shown, scene = "suede", "studio-sphere"
+    publish(source, tmp_path / "copy", [f"{shown}/{scene}"], ["improved-baseline", "cosine"])
+    with ResultsFolder(tmp_path / "copy") as copy, ResultsFolder(source) as store:
+        trials, kept = store.trials(), 0
+        for key, trial in copy.trials().items():
+            labels = trial.labels
+            there = labels["material"] == shown and labels["scene"] == scene
+            if labels["measure"] == "pictures":
+                there &= labels["method"] in ("improved-baseline", "cosine")
+            assert bool(trial.files) == (there and bool(trials[key].files))
+            for name in trial.files:
+                kept += labels["measure"] == "pictures"
+                found, right = (t.images[Path(name).stem] for t in (trial, trials[key]))
+                close = 2.0**-6 if labels["measure"] == "pictures" else 0
+                np.testing.assert_allclose(found, right, rtol=close, atol=0)
+        assert kept >= 2

@@ -72,7 +72,8 @@ class Report:
         names = _names(self.results, "figures", parts("figures"))
         pages = {f"page: {name}": partial(make, self.results) for name, make in PARTS.items()}
         figures = drawing.tasks(self.results, names, report / "figures")
-        made = together(figures | pages, notify)
+        # The images of the page take longest.
+        made = together(pages | figures, notify)
         drawn: list[Drawn] = []
         for name, found in drawing.collected(made, names).items():
             if not isinstance(found, str):

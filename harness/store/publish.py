@@ -2,8 +2,9 @@
 
 Planned trials with their records and raw arrays, and the images of some materials; not the states
 of fitted methods, which are large and can be fitted again, nor trials of earlier plans, nor what
-takes much room and is shown otherwise: the images of ``pictures``. Long arrays are kept to four
-digits, records to nine. The database is one compressed file (:mod:`harness.store.whole`).
+takes much room: of the large images of ``pictures`` those of a few methods, to two digits. Long
+arrays are kept to four digits, records to nine. The database is one compressed file
+(:mod:`harness.store.whole`).
 """
 
 from __future__ import annotations
@@ -30,8 +31,11 @@ from harness.store.stored import STATE, Stored
 
 _PICTURES = ("target", "pdf", "samples")
 """Arrays of the measure ``slices`` that are drawn and that no number is made of."""
-_LEFT_OUT = {"pictures": "images"}
-"""By measure, what would be most of the copy: 300 KB an image."""
+_LARGE = "pictures"
+"""The measure whose images would be most of the copy: 300 KB each, 190 KB rounded."""
+_IMAGE_BITS = 23 - 5
+"""Bits of the significands of large images, of 23, that are rounded away: what is left is finer
+than their noise."""
 _LONG, _BITS, _PICTURE_BITS = 32, 9, 13
 """Numbers of an array that is long; bits of their significands, of 23, that are rounded away, and
 of pictures, where one in two thousand cannot be seen."""
@@ -39,11 +43,14 @@ _DIGITS = 9
 """Of the numbers of a record."""
 
 
-def publish(source: Path, target: Path, pictured: Collection[str] = ()) -> int:
+def publish(
+    source: Path, target: Path, pictured: Collection[str] = (), large: Collection[str] = ()
+) -> int:
     """Copy the planned trials of ``source`` to ``target``; how many there are.
 
-    Images are those of what is ``pictured``, MATERIAL or MATERIAL/SCENE; the densities that are
-    drawn are those of its materials.
+    Images are those of what is ``pictured``, MATERIAL or MATERIAL/SCENE, of the measure
+    ``pictures`` those of the methods ``large``; the densities that are drawn are those of its
+    materials.
 
     Results in ``target`` are replaced once the copy is whole; what else is there stays.
 
@@ -53,7 +60,7 @@ def publish(source: Path, target: Path, pictured: Collection[str] = ()) -> int:
     claim(target)
     fresh = Path(tempfile.mkdtemp(prefix=f".{target.name}-", dir=target.parent))
     try:
-        count = _copy(source, fresh, pictured)
+        count = _copy(source, fresh, pictured, large)
         with locked(target):
             for name in (whole.WHOLE, FILE, files.FOLDER, "suite.yaml"):
                 _replace(fresh / name, target / name)
@@ -73,7 +80,7 @@ def _replace(fresh: Path, old: Path) -> None:
         old.unlink(missing_ok=True)
 
 
-def _copy(source: Path, fresh: Path, pictured: Collection[str]) -> int:
+def _copy(source: Path, fresh: Path, pictured: Collection[str], large: Collection[str]) -> int:
     with ResultsFolder(source) as old, locked(fresh), ResultsFolder(fresh, write=True) as new:
         plan, trials = old.plan(), old.trials()
         new.write_plan({k: v for k, v in plan.items() if k != "trials"}, plan["trials"])
@@ -83,13 +90,9 @@ def _copy(source: Path, fresh: Path, pictured: Collection[str]) -> int:
         for trial in wanted:
             material, scene = (trial.labels[label] for label in ("material", "scene"))
             shown = material in {name.partition("/")[0] for name in pictured}
-            without = _LEFT_OUT.get(trial.labels["measure"])
-            imaged = {material, f"{material}/{scene}"} & set(pictured) and without != "images"
-            kept = {n: d for n, d in trial.files.items() if imaged and n != STATE}
-            for name, digest in kept.items():
-                place = files.place(fresh, name, digest)
-                place.parent.mkdir(exist_ok=True)
-                shutil.copyfile(files.checked(source, name, digest), place)
+            kept = {}
+            if {material, f"{material}/{scene}"} & set(pictured):
+                kept = _images(source, fresh, trial, large)
             arrays = old.arrays(trial.hash)
             drawn = _PICTURES if trial.labels["measure"] == "slices" else ()
             if not shown:
@@ -109,6 +112,28 @@ def _copy(source: Path, fresh: Path, pictured: Collection[str]) -> int:
     _in_one_piece(fresh)
     shutil.copyfile(source / "suite.yaml", fresh / "suite.yaml")
     return len(wanted)
+
+
+def _images(source: Path, fresh: Path, trial: Stored, large: Collection[str]) -> dict[str, str]:
+    """Copy a trial's images; digests by name."""
+    kept = {name: digest for name, digest in trial.files.items() if name != STATE}
+    if trial.labels["measure"] != _LARGE:
+        for name, digest in kept.items():
+            files.keep(fresh, name, files.checked(source, name, digest).read_bytes())
+        return kept
+    if trial.labels["method"] not in large:
+        return {}
+    # Its modules take Mitsuba, which a copy without large images does without.
+    from harness.mitsuba_runtime import exr
+
+    return {
+        name: files.keep(
+            fresh,
+            name,
+            exr.encoded(rounded(exr.read(files.checked(source, name, digest)), _IMAGE_BITS)),
+        )
+        for name, digest in kept.items()
+    }
 
 
 def _short(trial: Stored) -> list[dict[str, Any]]:
@@ -165,9 +190,13 @@ def main() -> None:
     parser.add_argument(
         "--pictures", default="", help="whose images go along: MATERIAL or MATERIAL/SCENE, as A,B"
     )
+    parser.add_argument("--large", default="", help="methods whose large images go along, as A,B")
     arguments = parser.parse_args()
-    pictured = [name for name in arguments.pictures.split(",") if name]
-    count = publish(arguments.source, arguments.target, pictured)
+    pictured, large = (
+        [name for name in given.split(",") if name]
+        for given in (arguments.pictures, arguments.large)
+    )
+    count = publish(arguments.source, arguments.target, pictured, large)
     total = sum(p.stat().st_size for p in arguments.target.rglob("*") if p.is_file())
     print(f"{arguments.target}: {count} trials, {total / 1e6:.2f} MB")
 
