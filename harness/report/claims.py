@@ -8,9 +8,10 @@ report of a published suite::
 
     <!-- claim table2: table2 | uniform-sphere | geometric mean | two-lobe -->2.09<!-- /claim -->
 
-the results folder (in ``results/reference``), then table, section, row and column. ``| interval``
-behind them adds the interval. A block of them, a row for each column of the report's tables (the
-methods) and a column for each pair of table and section (and row, where it is another), is::
+the results folder (in ``results/reference``), then table, section (empty where the table has one
+without a title), row and column. ``| interval`` behind them adds the interval. A block of them, a
+row for each column of the report's tables (the methods) and a column for each pair of table and
+section (and row, where it is another), is::
 
     <!-- claims table2: geometric mean | equal time = table2, uniform-sphere | ... -->
     <!-- /claims -->

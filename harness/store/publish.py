@@ -48,9 +48,9 @@ def publish(
 ) -> int:
     """Copy the planned trials of ``source`` to ``target``; how many there are.
 
-    Images are those of what is ``pictured``, MATERIAL or MATERIAL/SCENE, of the measure
-    ``pictures`` those of the methods ``large``; the densities that are drawn are those of its
-    materials.
+    Images are those of what is ``pictured``, MATERIAL or MATERIAL/SCENE. Where the measure
+    ``pictures`` made large ones, those of the methods ``large`` go along and no smaller ones. The
+    densities that are drawn are those of its materials.
 
     Results in ``target`` are replaced once the copy is whole; what else is there stays.
 
@@ -87,12 +87,13 @@ def _copy(source: Path, fresh: Path, pictured: Collection[str], large: Collectio
         wanted = [
             t for k in dict.fromkeys(r["trial"] for r in plan["trials"]) if (t := trials.get(k))
         ]
+        enlarged = {_cell(t) for t in wanted if t.labels["measure"] == _LARGE and t.files}
         for trial in wanted:
-            material, scene = (trial.labels[label] for label in ("material", "scene"))
+            material, scene = _cell(trial)
             shown = material in {name.partition("/")[0] for name in pictured}
             kept = {}
             if {material, f"{material}/{scene}"} & set(pictured):
-                kept = _images(source, fresh, trial, large)
+                kept = _images(source, fresh, trial, large, _cell(trial) in enlarged)
             arrays = old.arrays(trial.hash)
             drawn = _PICTURES if trial.labels["measure"] == "slices" else ()
             if not shown:
@@ -114,10 +115,18 @@ def _copy(source: Path, fresh: Path, pictured: Collection[str], large: Collectio
     return len(wanted)
 
 
-def _images(source: Path, fresh: Path, trial: Stored, large: Collection[str]) -> dict[str, str]:
-    """Copy a trial's images; digests by name."""
+def _cell(trial: Stored) -> tuple[str, str]:
+    return trial.labels["material"], trial.labels["scene"]
+
+
+def _images(
+    source: Path, fresh: Path, trial: Stored, large: Collection[str], enlarged: bool
+) -> dict[str, str]:
+    """Copy a trial's images; digests by name. Of what is ``enlarged`` there are large ones."""
     kept = {name: digest for name, digest in trial.files.items() if name != STATE}
     if trial.labels["measure"] != _LARGE:
+        if enlarged:
+            return {}
         for name, digest in kept.items():
             files.keep(fresh, name, files.checked(source, name, digest).read_bytes())
         return kept
