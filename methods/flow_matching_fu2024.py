@@ -17,6 +17,7 @@ from harness.core.protocol.material import Material
 from harness.core.protocol.method import Budget, FitReport, Knob
 from harness.nets.conditional_flow import ConditionalFlow
 from harness.nets.discrete_flow import DiscreteFlow
+from harness.nets.folded_inverse import invert_across_folds
 from harness.nets.velocity import Shared
 
 STATES = ("rectify", "diffusion")
@@ -34,9 +35,10 @@ class FlowMatchingFu2024(FlowMatchingPublished):
     fitted. No uniform share, and no sample is dropped for its weight.
 
     ``query="inverse"`` has :meth:`pdf` invert the steps, ``"published"`` go back by explicit ones.
-    Some of the networks fold: in a small share of the samples, which the fit's notes give, a step
-    is not one to one, and the density is that of one origin of several. So ``exact_pdf`` is false,
-    and estimates are f over the density that sampling has accumulated.
+    Some of the networks fold, and are inverted across folds: in a small share of the samples, which
+    the fit's notes give, a step is not one to one, and the density is that of one origin of
+    several. So ``exact_pdf`` is false, and estimates are f over the density that sampling has
+    accumulated.
     """
 
     name = "flow-matching-fu2024"
@@ -68,7 +70,7 @@ class FlowMatchingFu2024(FlowMatchingPublished):
     def back(self, flow: DiscreteFlow, place: Columns, shared: Shared) -> Any:
         """See :meth:`FlowMatching.back`."""
         if self.query == "inverse":
-            return FlowMatching.back(self, flow, place, shared)
+            return invert_across_folds(flow, place, shared)
         return super().back(flow, place, shared)
 
     def _log_prob(self, net: ConditionalFlow, condition: Tensor, wo: Tensor) -> Tensor:

@@ -5,13 +5,17 @@ from __future__ import annotations
 import math
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 from torch import Tensor
 
 from harness.core import registry
+from harness.core.columns.bridge import columns_of
 from harness.core.protocol.errors import InputError
 from harness.core.protocol.method import Budget, Method
+from harness.nets import discrete_flow_columns
+from harness.nets.folded_inverse import invert_across_folds
 from tests.materials import MATERIALS
 
 STATES = {
@@ -80,6 +84,34 @@ def test_the_networks_are_read_as_the_release_runs_them(tmp_path: Path):
     torch.testing.assert_close(method.pdf(condition, wo), pdf, rtol=1e-3, atol=1e-6)
     other = make(tmp_path, query="published")
     assert not torch.allclose(other.pdf(condition, wo), pdf, rtol=1e-3)
+
+
+def test_an_origin_is_found_across_folds(tmp_path: Path):
+    """Where Newton's method, that comes nearer every time, stops at folds: bounded steps go on."""
+    found, g = states(0.15), torch.Generator().manual_seed(5)
+    for name, weight in found["rectify"].items():
+        size = {"linear1.weight": 0.8, "output.weight": 0.12}.get(name, 0.5)
+        found["rectify"][name] = size * torch.randn(weight.shape, generator=g)
+    write(tmp_path, found)
+    method = make(tmp_path)
+    g = torch.Generator().manual_seed(1)
+    condition, u = method.material.conditions(4000, g), torch.rand(4000, 3, generator=g)
+    wo, _ = method.sample(condition, u)
+    net, flow = method.module, method.flow()
+    with torch.no_grad():
+        at, target = net.at_columns(columns_of(condition)), columns_of(wo)
+        plain = discrete_flow_columns.invert(flow, target, at.shared)
+        across = invert_across_folds(flow, target, at.shared)
+        back = discrete_flow_columns.forward(flow, across.x, at.shared)
+    stopped, missed = ~np.array(plain.found), ~np.array(across.found)
+    assert stopped.sum() > 10 and missed.sum() < stopped.sum() / 3
+    for there, wanted, origin, alone in zip(back.x, target, across.x, plain.x, strict=True):
+        near = stopped & ~missed
+        there, wanted = np.array(there)[near], np.array(wanted)[near]
+        np.testing.assert_allclose(there, wanted, rtol=1e-3, atol=1e-3)
+        assert (np.array(origin) == np.array(alone))[~stopped].all()
+    pdf = method.pdf(condition, wo).numpy()
+    assert (np.isfinite(pdf) == ~missed).all() and (pdf[~missed] >= 0).all()
 
 
 def test_materials_without_networks_are_not_supported(tmp_path: Path):

@@ -14,6 +14,7 @@ import pytest
 from harness import load_results
 from harness.analysis import status
 from harness.core.protocol.errors import InputError
+from harness.identity import small
 from harness.report import write as reports
 from harness.report.formats.markdown import markdown
 from harness.store import whole
@@ -156,3 +157,18 @@ def test_large_images_go_along_of_the_methods_named_to_two_digits(tmp_path: Path
                 found, right = (t.images[Path(name).stem] for t in (trial, trials[key]))
                 np.testing.assert_allclose(found, right, rtol=2.0**-6, atol=0)
         assert kept >= 2
+
+
+def test_of_long_arrays_probes_keep_what_is_compared():
+    rows = np.random.default_rng(0).normal(size=(1024, 32)).astype(np.float32)
+    whole = {"state": rows, "notes": np.zeros(9000, np.uint8), "few": rows[:2]}
+    short = small.thinned(whole)
+    assert short["state"].size <= small.MANY and short["notes"].size == 9000
+    assert (short["few"] == rows[:2]).all()
+    # What is kept stays as it is, every column among it, and compares with the whole.
+    assert all((small.thinned(short)[name] == short[name]).all() for name in short)
+    numbers = np.arange(rows.size, dtype=np.float32).reshape(rows.shape)
+    assert set(small.thinned({"n": numbers})["n"] % 32) == set(range(32))
+    for change, same in ((1e-6, True), (1e-3, False)):
+        other = whole | {"state": rows * np.float32(1 + change)}
+        assert small.agree(short, other) == same and not small.identical(short, other)

@@ -22,12 +22,28 @@ TOLERANCE = 1e-4
 """Largest relative difference of numbers that count as the same."""
 ROUNDING = 1e-6
 """The same where what follows amplifies it, as training does with its first steps."""
+MANY = 2048
+"""Numbers of an array that are kept where room counts, and compared everywhere."""
 SEED = 20_260_301
 ROWS = 152
 """Random rows of a probe; those at edges come on top."""
 _EDGE_OF_ONE = 1 - 2**-24
 _RADII = (0.0, 0.5, 0.98, 0.999, 1 - 1e-6)
 """Of incident directions on the disk, from normal to grazing."""
+
+
+def thinned(arrays: Mapping[str, NDArray[Any]]) -> Arrays:
+    """With every k-th number of an array of floats that has more than ``MANY``, k odd.
+
+    Of such arrays, a network's weights, code that changes any changes most. Twice is as once.
+    """
+    return {name: _thinned(np.asarray(array)) for name, array in arrays.items()}
+
+
+def _thinned(array: NDArray[Any]) -> NDArray[Any]:
+    if array.dtype.kind != "f" or array.size <= MANY:
+        return array
+    return array.reshape(-1)[:: math.ceil(array.size / MANY) | 1]
 
 
 def agree(
@@ -40,19 +56,19 @@ def agree(
     Compared element by element, |a - b| <= tolerance max(|a|, |b|), where the larger of the two is
     at least a millionth of the array's root mean square: rounding may move what is next to nothing.
     For a tolerance below that of numbers in general it is the root mean square itself. Not-a-number
-    and infinity must be in the same places.
+    and infinity must be in the same places. Of long arrays as :func:`thinned`.
     """
+    first, second = thinned(first), thinned(second)
     if first.keys() != second.keys():
         return False
-    return all(
-        _same(np.asarray(first[name]), np.asarray(second[name]), tolerance) for name in first
-    )
+    return all(_same(array, second[name], tolerance) for name, array in first.items())
 
 
 def identical(first: Mapping[str, NDArray[Any]], second: Mapping[str, NDArray[Any]]) -> bool:
-    """Whether not one bit differs."""
+    """Whether not one bit differs; of long arrays as :func:`thinned`."""
+    first, second = thinned(first), thinned(second)
     return first.keys() == second.keys() and all(
-        np.asarray(first[name]).tobytes() == np.asarray(second[name]).tobytes() for name in first
+        array.tobytes() == second[name].tobytes() for name, array in first.items()
     )
 
 

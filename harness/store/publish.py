@@ -3,8 +3,8 @@
 Planned trials with their records and raw arrays, and the images of some materials; not the states
 of fitted methods, which are large and can be fitted again, nor trials of earlier plans, nor what
 takes much room: of the large images of ``pictures`` those of a few methods, to two digits. Long
-arrays are kept to four digits, records to nine. The database is one compressed file
-(:mod:`harness.store.whole`).
+arrays are kept to one in eight thousand, records to nine. The database is one compressed file
+(:mod:`harness.store.whole`); of long arrays of probes it has what is compared.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ from typing import Any
 
 import numpy as np
 
+from harness.identity.small import thinned
 from harness.store import code, files, whole
 from harness.store.database import FILE, connect, make_tables, transaction
 from harness.store.folder import ResultsFolder
@@ -36,7 +37,7 @@ _LARGE = "pictures"
 _IMAGE_BITS = 23 - 5
 """Bits of the significands of large images, of 23, that are rounded away: what is left is finer
 than their noise."""
-_LONG, _BITS, _PICTURE_BITS = 32, 9, 13
+_LONG, _BITS, _PICTURE_BITS = 32, 11, 13
 """Numbers of an array that is long; bits of their significands, of 23, that are rounded away, and
 of pictures, where one in two thousand cannot be seen."""
 _DIGITS = 9
@@ -109,7 +110,7 @@ def _copy(source: Path, fresh: Path, pictured: Collection[str], large: Collectio
             code.note_equivalent(new, *change)
         for (part, digest), about in code.probes(old).items():
             if digest in digests:
-                code.save_probe(new, part, digest, *about, code.probe(old, part, digest))
+                code.save_probe(new, part, digest, *about, thinned(code.probe(old, part, digest)))
     _in_one_piece(fresh)
     shutil.copyfile(source / "suite.yaml", fresh / "suite.yaml")
     return len(wanted)
@@ -178,7 +179,7 @@ def _in_one_piece(folder: Path) -> None:
 def rounded(array: np.ndarray, bits: int = _BITS) -> np.ndarray:
     """A long array of floats, ``bits`` of 23 of their significands rounded away.
 
-    Relative errors are below 2^(bits - 24), that is 2^-15. Of single precision, where the numbers
+    Relative errors are below 2^(bits - 24), that is 2^-13. Of single precision, where the numbers
     have its range; everything else as it is.
     """
     if array.size < _LONG or array.dtype not in (np.float32, np.float64):
