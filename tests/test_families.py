@@ -311,3 +311,16 @@ def test_the_speed_command(monkeypatch, capsys):
     assert len(lines) == len(speed.CASES) and "slice s" in head
     for line, name in zip(lines, speed.CASES, strict=True):
         assert line.startswith(name) and len(line[24:].split()) == 7
+
+
+@pytest.mark.parametrize("fix", [{}, {"roughness": 0.3}])
+def test_scenes_show_what_its_conditions_say_on_every_tile(fix):
+    """Its texture coordinates go beyond one: what is not carried is refused at true hits."""
+    from harness.core import registry as methods
+    from harness.rendering.prepared import prepare
+    from harness.scenes import registry as scenes
+
+    material = fixed("disney", **fix)
+    method = methods.make("cosine")
+    method.bind(material)
+    assert prepare(scenes.make("studio-sphere"), material, method, 16).mask.any()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -13,6 +13,8 @@ from harness.materials.families.parameters import DISNEY, Parameter
 from harness.materials.mitsuba_bsdf import MitsubaMaterial, mitsuba
 
 BASE_COLOR = (0.72, 0.45, 0.2)
+_TEXELS = 4096
+"""Of a tile: the fall from its end to the next one's start is as wide as one."""
 
 
 class Disney(Family):
@@ -24,8 +26,8 @@ class Disney(Family):
 
     Each free parameter is a texture that rises linearly over the unit square of (u, v), the
     first along u, the second along v. A row is evaluated at the (u, v) that has its
-    parameters; and a surface with texture coordinates shows the whole family. So ``bsdf`` is
-    one ordinary Mitsuba BSDF, with its own sampler, and renders natively.
+    parameters; and a surface with texture coordinates shows the whole family, on every tile. So
+    ``bsdf`` is one ordinary Mitsuba BSDF, with its own sampler, and renders natively.
     """
 
     family = "disney"
@@ -33,15 +35,17 @@ class Disney(Family):
 
     def __init__(self, name: str, fix: Mapping[str, float], identity: dict[str, Any]):
         super().__init__(name, fix, identity)
+        # On rows the edges count, 0 and 1 alike; on surfaces coordinates go on beyond them.
+        self._nested = MitsubaMaterial(name, self._principled(_ramp), identity)
+        self.bsdf = MitsubaMaterial(name, self._principled(_sawtooth), identity).bsdf
+
+    def _principled(self, texture: Callable[[Parameter, int], dict[str, Any]]) -> dict[str, Any]:
         bsdf: dict[str, Any] = {
             "type": "principled",
             "base_color": {"type": "rgb", "value": list(BASE_COLOR)},
             **self.fixed,
         }
-        for axis, parameter in enumerate(self.parameters):
-            bsdf[parameter.name] = _ramp(parameter, axis)
-        self._nested = MitsubaMaterial(name, bsdf, identity)
-        self.bsdf = self._nested.bsdf
+        return bsdf | {p.name: texture(p, axis) for axis, p in enumerate(self.parameters)}
 
     def mitsuba_bsdf(self) -> Any:
         """See :meth:`Material.mitsuba_bsdf`."""
@@ -88,4 +92,21 @@ def _ramp(parameter: Parameter, axis: int) -> dict[str, Any]:
         .ScalarTransform3f()  # (u, v) -> 1/4 + (u, v) / 2
         .translate([0.25, 0.25])
         .scale([0.5, 0.5]),
+    }
+
+
+def _sawtooth(parameter: Parameter, axis: int) -> dict[str, Any]:
+    """As :func:`_ramp` within the unit square, and the same on every other one.
+
+    Exact but for the last and first half texel, where it falls back.
+    """
+    rise = (np.arange(_TEXELS, dtype=np.float32) + 0.5) / _TEXELS
+    texels = (parameter.low + (parameter.high - parameter.low) * rise)[None]
+    return {
+        "type": "bitmap",
+        "array": np.ascontiguousarray(texels.T if axis else texels)[..., None],
+        "raw": True,
+        "filter_type": "bilinear",
+        "wrap_mode": "repeat",
+        "accel": False,
     }
