@@ -5,6 +5,7 @@ from __future__ import annotations
 import lzma
 import sqlite3
 from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,7 @@ import pytest
 
 from harness import load_results
 from harness.analysis import status
+from harness.core.paths import ROOT
 from harness.core.protocol.errors import InputError
 from harness.identity import small
 from harness.report import write as reports
@@ -172,3 +174,20 @@ def test_of_long_arrays_probes_keep_what_is_compared():
     for change, same in ((1e-6, True), (1e-3, False)):
         other = whole | {"state": rows * np.float32(1 + change)}
         assert small.agree(short, other) == same and not small.identical(short, other)
+
+
+def test_no_places_of_one_machine_go_along(tmp_path: Path):
+    raw = tmp_path / "raw"
+    folder = Made().write(raw)
+    outside = {"material": {"leather": {"/home/me/a.bsdf": "1", "suites/table2.yaml": "2"}}}
+    with locked(folder), ResultsFolder(folder, write=True) as results:
+        plan, trials = results.plan(), results.trials()
+        about = {k: v for k, v in plan.items() if k != "trials"} | {"files": outside}
+        results.write_plan(about, plan["trials"])
+        first = next(iter(trials.values()))
+        text = f'File "{ROOT}/harness/a.py", line 1'
+        results.save(replace(first, traceback=text), results.arrays(first.hash), {})
+    publish(folder, tmp_path / "out")
+    with ResultsFolder(tmp_path / "out") as copy:
+        assert copy.plan()["files"] == {"material": {"leather": {"suites/table2.yaml": "2"}}}
+        assert copy.trials()[first.hash].traceback == 'File "harness/a.py", line 1'

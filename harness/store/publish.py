@@ -22,6 +22,7 @@ from typing import Any
 
 import numpy as np
 
+from harness.core.paths import ROOT
 from harness.identity.small import thinned
 from harness.store import code, files, whole
 from harness.store.database import FILE, connect, make_tables, transaction
@@ -84,7 +85,7 @@ def _replace(fresh: Path, old: Path) -> None:
 def _copy(source: Path, fresh: Path, pictured: Collection[str], large: Collection[str]) -> int:
     with ResultsFolder(source) as old, locked(fresh), ResultsFolder(fresh, write=True) as new:
         plan, trials = old.plan(), old.trials()
-        new.write_plan({k: v for k, v in plan.items() if k != "trials"}, plan["trials"])
+        new.write_plan(_about(plan), plan["trials"])
         wanted = [
             t for k in dict.fromkeys(r["trial"] for r in plan["trials"]) if (t := trials.get(k))
         ]
@@ -103,7 +104,8 @@ def _copy(source: Path, fresh: Path, pictured: Collection[str], large: Collectio
                 name: rounded(array, _PICTURE_BITS if name in drawn else _BITS)
                 for name, array in arrays.items()
             }
-            new.save(replace(trial, records=_short(trial), folder=fresh), arrays, kept)
+            copy = replace(trial, records=_short(trial), traceback=_placeless(trial), folder=fresh)
+            new.save(copy, arrays, kept)
         digests = {digest for trial in wanted for digest in trial.parts.values()}
         code.note_units(new, {d: units for d in digests if (units := code.units(old, d))})
         for change in code.equivalents(old):
@@ -114,6 +116,26 @@ def _copy(source: Path, fresh: Path, pictured: Collection[str], large: Collectio
     _in_one_piece(fresh)
     shutil.copyfile(source / "suite.yaml", fresh / "suite.yaml")
     return len(wanted)
+
+
+def _about(plan: dict[str, Any]) -> dict[str, Any]:
+    """The plan but for its trials, and for files outside of the code, which are one machine's."""
+    about = {k: v for k, v in plan.items() if k != "trials"}
+    if "files" in about:
+        about["files"] = {
+            kind: {label: _inside(found) for label, found in labels.items()}
+            for kind, labels in about["files"].items()
+        }
+    return about
+
+
+def _inside(found: dict[str, str]) -> dict[str, str]:
+    return {name: digest for name, digest in found.items() if not Path(name).is_absolute()}
+
+
+def _placeless(trial: Stored) -> str:
+    """Its traceback, whose files have their places in the code, wherever that lies."""
+    return trial.traceback.replace(f"{ROOT}{os.sep}", "")
 
 
 def _cell(trial: Stored) -> tuple[str, str]:
