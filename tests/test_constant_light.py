@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import functools
+import gc
 import math
+from collections.abc import Iterator
 
 import numpy as np
 import pytest
@@ -31,6 +33,14 @@ from harness.measures.constant_light import _some, integrated  # noqa: E402
 from harness.measures.light_points import draw  # noqa: E402
 from harness.rendering import seen  # noqa: E402
 from harness.rendering.prepared import prepare  # noqa: E402
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _no_bsdf_stays() -> Iterator[None]:
+    """Scenes of methods in PyTorch end here: Mitsuba traces every BSDF alive in others' renders."""
+    yield
+    prepared_at.cache_clear()
+    gc.collect()
 
 
 class Texel(FakeMaterial):
