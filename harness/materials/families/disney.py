@@ -11,6 +11,7 @@ from harness.core.columns.bridge import Columns, Float
 from harness.materials.families.base import Family
 from harness.materials.families.parameters import DISNEY, Parameter
 from harness.materials.mitsuba_bsdf import MitsubaMaterial, mitsuba
+from harness.mitsuba_runtime.bitmaps import with_bitmaps
 
 BASE_COLOR = (0.72, 0.45, 0.2)
 _TEXELS = 4096
@@ -37,7 +38,8 @@ class Disney(Family):
         super().__init__(name, fix, identity)
         # On rows the edges count, 0 and 1 alike; on surfaces coordinates go on beyond them.
         self._nested = MitsubaMaterial(name, self._principled(_ramp), identity)
-        self.bsdf = MitsubaMaterial(name, self._principled(_sawtooth), identity).bsdf
+        mi = mitsuba()
+        self.bsdf = mi.load_dict(with_bitmaps(mi, self._principled(_sawtooth)))
 
     def _principled(self, texture: Callable[[Parameter, int], dict[str, Any]]) -> dict[str, Any]:
         bsdf: dict[str, Any] = {
@@ -80,19 +82,9 @@ def _ramp(parameter: Parameter, axis: int) -> dict[str, Any]:
     Two texels with bilinear interpolation, the unit square scaled to lie between their
     centres; beyond it the value stays what it is at the edge.
     """
-    texels = np.array([[parameter.low, parameter.high]], dtype=np.float32)
-    return {
-        "type": "bitmap",
-        "array": np.ascontiguousarray(texels.T if axis else texels)[..., None],
-        "raw": True,
-        "filter_type": "bilinear",
-        "wrap_mode": "clamp",
-        "accel": False,  # a GPU's texture unit interpolates in steps of 1/256
-        "to_uv": mitsuba()
-        .ScalarTransform3f()  # (u, v) -> 1/4 + (u, v) / 2
-        .translate([0.25, 0.25])
-        .scale([0.5, 0.5]),
-    }
+    inner = mitsuba().ScalarTransform3f().translate([0.25, 0.25]).scale([0.5, 0.5])
+    ends = np.array([parameter.low, parameter.high], dtype=np.float32)
+    return _bitmap(ends, axis, "clamp") | {"to_uv": inner}  # (u, v) -> 1/4 + (u, v) / 2
 
 
 def _sawtooth(parameter: Parameter, axis: int) -> dict[str, Any]:
@@ -101,12 +93,16 @@ def _sawtooth(parameter: Parameter, axis: int) -> dict[str, Any]:
     Exact but for the last and first half texel, where it falls back.
     """
     rise = (np.arange(_TEXELS, dtype=np.float32) + 0.5) / _TEXELS
-    texels = (parameter.low + (parameter.high - parameter.low) * rise)[None]
+    return _bitmap(parameter.low + (parameter.high - parameter.low) * rise, axis, "repeat")
+
+
+def _bitmap(values: np.ndarray, axis: int, wrap_mode: str) -> dict[str, Any]:
+    """A texture of ``values`` along u (axis 0) or v (1), interpolated between texels' centres."""
     return {
         "type": "bitmap",
-        "array": np.ascontiguousarray(texels.T if axis else texels)[..., None],
+        "array": values.reshape((-1, 1, 1) if axis else (1, -1, 1)),
         "raw": True,
         "filter_type": "bilinear",
-        "wrap_mode": "repeat",
-        "accel": False,
+        "wrap_mode": wrap_mode,
+        "accel": False,  # a GPU's texture unit interpolates in steps of 1/256
     }
