@@ -25,7 +25,7 @@ from harness.fitting.precision import PRECISIONS, checked_precision, round_weigh
 from harness.fitting.steady import SteadyMethod
 from harness.fitting.targets import Targets
 from harness.fitting.train import minimise
-from harness.nets import defensive, discrete_flow_columns, domains, flow_sampling
+from harness.nets import defensive, discrete_flow_inverse, domains, flow_sampling
 from harness.nets.activations import ACTIVATIONS
 from harness.nets.conditional_flow import ColumnConditioned, ConditionalFlow
 from harness.nets.coupling import uniforms_of_normal
@@ -294,4 +294,4 @@ class FlowMatching(SteadyMethod, ColumnMethod):
 
     def back(self, flow: DiscreteFlow, place: Columns, shared: Shared) -> Any:
         """Where ``place`` comes from, for :meth:`pdf_columns`."""
-        return discrete_flow_columns.invert(flow, place, shared)
+        return discrete_flow_inverse.invert(flow, place, shared)

@@ -17,7 +17,6 @@ from harness.core.protocol.material import Material
 from harness.core.protocol.method import Budget, FitReport, Knob
 from harness.nets.conditional_flow import ConditionalFlow
 from harness.nets.discrete_flow import DiscreteFlow
-from harness.nets.folded_inverse import invert_across_folds
 from harness.nets.velocity import Shared
 
 STATES = ("rectify", "diffusion")
@@ -70,7 +69,7 @@ class FlowMatchingFu2024(FlowMatchingPublished):
     def back(self, flow: DiscreteFlow, place: Columns, shared: Shared) -> Any:
         """See :meth:`FlowMatching.back`."""
         if self.query == "inverse":
-            return invert_across_folds(flow, place, shared)
+            return FlowMatching.back(self, flow, place, shared)
         return super().back(flow, place, shared)
 
     def _log_prob(self, net: ConditionalFlow, condition: Tensor, wo: Tensor) -> Tensor:

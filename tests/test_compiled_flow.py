@@ -12,7 +12,7 @@ from torch import Tensor
 
 from harness.core.columns.bridge import columns_of, tensor_of
 from harness.core.compiled import build, history, library
-from harness.nets import discrete_flow_columns
+from harness.nets import discrete_flow_columns, discrete_flow_inverse
 from harness.nets.activations import ACTIVATIONS
 from harness.nets.discrete_flow import DiscreteFlow
 from harness.nets.encoding import Encoded, Group
@@ -60,7 +60,7 @@ def all_ways(flow: DiscreteFlow, encoded: Tensor, x: Tensor) -> dict[str, Tensor
     moved = discrete_flow_columns.forward(flow, at, shared)
     end = discrete_flow_columns.endpoint(flow, at, shared)
     back = discrete_flow_columns.backward(flow, at, shared)
-    origin = discrete_flow_columns.invert(flow, at, shared)
+    origin = discrete_flow_inverse.invert(flow, at, shared)
     found = dr.select(origin.found, type(at[0])(1), 0)
     return {
         "forward": tensor_of(*moved.x, moved.det, *moved.jacobian, rows=n),
@@ -125,7 +125,7 @@ def test_back_to_where_it_came_from(steps):
     flow, (encoded, x) = flow_of(64, 5, steps), drawn(3000)
     shared = shared_of(flow, encoded)
     moved = discrete_flow_columns.forward(flow, columns_of(x), shared)
-    origin = discrete_flow_columns.invert(flow, moved.x, shared)
+    origin = discrete_flow_inverse.invert(flow, moved.x, shared)
     got = tensor_of(*origin.x, origin.det / moved.det, rows=len(x))
     assert dr.all(origin.found)
     torch.testing.assert_close(got[:, :2], x, rtol=0, atol=2e-5)
@@ -173,7 +173,7 @@ def test_rows_that_are_not_active_stay():
     index = dr.arange(dr.uint32_array_t(type(at[0])), 500)
     active = (index % 7 == 3) | ((index > 200) & (index < 210))
     moved = discrete_flow_columns.forward(flow, at, shared, active)
-    origin = discrete_flow_columns.invert(flow, at, shared, active)
+    origin = discrete_flow_inverse.invert(flow, at, shared, active)
     got = tensor_of(*moved.x, moved.det, *origin.x, origin.det, rows=500)
     whole, chosen = all_ways(flow, encoded, x), torch.from_numpy(active.numpy())
     expected = torch.cat([whole["forward"][:, :3], whole["inverse"][:, :3]], 1)

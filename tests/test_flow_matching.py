@@ -20,7 +20,7 @@ from harness.core.protocol.disk import square_to_disk
 from harness.core.protocol.errors import InputError, StateRefused
 from harness.core.protocol.method import Budget
 from harness.fitting.flow_matching import in_rows
-from harness.nets import discrete_flow_columns, domains
+from harness.nets import discrete_flow_columns, discrete_flow_inverse, domains
 from harness.nets.activations import ACTIVATIONS
 from harness.nets.discrete_flow import DiscreteFlow, determinant
 from harness.nets.encoding import Encoded
@@ -115,7 +115,7 @@ def test_columns_take_the_same_steps(solver, steps):
     columns = flow.velocity.shared_columns(Encoded.plain(columns_of(encoded)))
     expected, back = flow.forward(x, shared), flow.backward(x, shared)
     moved = discrete_flow_columns.forward(flow, columns_of(x[:, 0]), columns)
-    origin = discrete_flow_columns.invert(flow, moved.x, columns)
+    origin = discrete_flow_inverse.invert(flow, moved.x, columns)
     other = discrete_flow_columns.backward(flow, columns_of(x[:, 0]), columns)
     got = tensor_of(*moved.x, moved.det, *origin.x, origin.det, *other.x, other.det, rows=500)
     torch.testing.assert_close(got[:, :2], expected.x[:, 0], rtol=1e-5, atol=1e-5)

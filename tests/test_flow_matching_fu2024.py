@@ -14,8 +14,7 @@ from harness.core import registry
 from harness.core.columns.bridge import columns_of
 from harness.core.protocol.errors import InputError
 from harness.core.protocol.method import Budget, Method
-from harness.nets import discrete_flow_columns
-from harness.nets.folded_inverse import invert_across_folds
+from harness.nets import discrete_flow_columns, discrete_flow_inverse
 from tests.materials import MATERIALS
 
 STATES = {
@@ -100,8 +99,8 @@ def test_an_origin_is_found_across_folds(tmp_path: Path):
     net, flow = method.module, method.flow()
     with torch.no_grad():
         at, target = net.at_columns(columns_of(condition)), columns_of(wo)
-        plain = discrete_flow_columns.invert(flow, target, at.shared)
-        across = invert_across_folds(flow, target, at.shared)
+        plain = discrete_flow_inverse.first_search(flow, target, at.shared)
+        across = discrete_flow_inverse.invert(flow, target, at.shared)
         back = discrete_flow_columns.forward(flow, across.x, at.shared)
     stopped, missed = ~np.array(plain.found), ~np.array(across.found)
     assert stopped.sum() > 10 and missed.sum() < stopped.sum() / 3

@@ -22,8 +22,10 @@ TOLERANCE = 1e-4
 """Largest relative difference of numbers that count as the same."""
 ROUNDING = 1e-6
 """The same where what follows amplifies it, as training does with its first steps."""
-MANY = 2048
+MANY = 512
 """Numbers of an array that are kept where room counts, and compared everywhere."""
+_STAGES = (2048, MANY)
+"""Copies published before keep the first stage of a long array; the second is taken of that."""
 SEED = 20_260_301
 ROWS = 152
 """Random rows of a probe; those at edges come on top."""
@@ -33,7 +35,7 @@ _RADII = (0.0, 0.5, 0.98, 0.999, 1 - 1e-6)
 
 
 def thinned(arrays: Mapping[str, NDArray[Any]]) -> Arrays:
-    """With every k-th number of an array of floats that has more than ``MANY``, k odd.
+    """At most ``MANY`` numbers of an array of floats, evenly spaced, an odd number of places apart.
 
     Of such arrays, a network's weights, code that changes any changes most. Twice is as once.
     """
@@ -41,9 +43,12 @@ def thinned(arrays: Mapping[str, NDArray[Any]]) -> Arrays:
 
 
 def _thinned(array: NDArray[Any]) -> NDArray[Any]:
-    if array.dtype.kind != "f" or array.size <= MANY:
+    if array.dtype.kind != "f":
         return array
-    return array.reshape(-1)[:: math.ceil(array.size / MANY) | 1]
+    for most in _STAGES:
+        if array.size > most:
+            array = array.reshape(-1)[:: math.ceil(array.size / most) | 1]
+    return array
 
 
 def agree(

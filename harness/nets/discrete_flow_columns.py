@@ -11,15 +11,11 @@ from typing import Any, NamedTuple
 import drjit as dr
 
 from harness.core.columns.bridge import Columns, Float
-from harness.core.protocol import counting
 from harness.nets import compiled_flow
 from harness.nets.compiled_network import usable
-from harness.nets.discrete_flow import ROUNDS, DiscreteFlow
+from harness.nets.discrete_flow import DiscreteFlow
 from harness.nets.solvers import step
 from harness.nets.velocity import Shared
-
-_TOLERANCE = 2.0**-19
-"""Of a step's end, relative to the places; a last step of Newton's squares it."""
 
 Matrix = tuple[Float, Float, Float, Float]
 """Derivatives by x, then by y: (a, c, b, d) of rows (a, b), (c, d)."""
@@ -41,10 +37,10 @@ class ColumnOrigin(NamedTuple):
     found: Any
 
 
-def _compiled(
+def compiled(
     way: int, flow: DiscreteFlow, x: Columns, shared: Shared, active: Any = True
 ) -> Columns | None:
-    """Of the compiled kernels; None where they cannot run it."""
+    """Outputs of the compiled kernel ``way``; None where it cannot run the flow."""
     if flow.solver != "euler" or not flow.velocity.compilable:
         return None
     masked = active is not True
@@ -62,7 +58,8 @@ def _width(flow: DiscreteFlow, array: type[Float]) -> Float:
     return dr.opaque(array, 1 / flow.steps)
 
 
-def _count(flow: DiscreteFlow, array: type[Float]) -> Any:
+def step_count(flow: DiscreteFlow, array: type[Float]) -> Any:
+    """S, as data."""
     return dr.opaque(dr.uint32_array_t(array), flow.steps)
 
 
@@ -123,7 +120,7 @@ def forward(flow: DiscreteFlow, x: Columns, shared: Shared, active: Any = True) 
     Rows that are not ``active`` stay where they are, and packets of rows without an active one
     cost nothing.
     """
-    if found := _compiled(compiled_flow.FORWARD, flow, x, shared, active):
+    if found := compiled(compiled_flow.FORWARD, flow, x, shared, active):
         return ColumnMoved(found[:2], found[2], tuple(found[3:]))
     array, shared = type(shared.columns[0]), shared.columns
     index, mask = dr.uint32_array_t(array), dr.mask_t(array)
@@ -132,9 +129,9 @@ def forward(flow: DiscreteFlow, x: Columns, shared: Shared, active: Any = True) 
         (x, y), m = one_dual(flow, [x, y], k, shared)
         return k + 1, active, x, y, det * determinant(m), *_times(m, whole)
 
-    count, unit = _count(flow, array), (array(1), array(0), array(0), array(1))
+    count, unit = step_count(flow, array), (array(1), array(0), array(0), array(1))
     start = index(0), mask(active), *(array(v) for v in x), array(1), *unit
-    _, _, x, y, det, *whole = _loop(
+    _, _, x, y, det, *whole = loop(
         start, lambda k, active, *rest: active & (k < count), body, "flow"
     )
     return ColumnMoved([x, y], det, tuple(whole))
@@ -142,22 +139,22 @@ def forward(flow: DiscreteFlow, x: Columns, shared: Shared, active: Any = True) 
 
 def endpoint(flow: DiscreteFlow, x: Columns, shared: Shared) -> Columns:
     """Where ``x`` leads, without a density."""
-    if found := _compiled(compiled_flow.ENDPOINT, flow, x, shared):
+    if found := compiled(compiled_flow.ENDPOINT, flow, x, shared):
         return found
     array, shared = type(shared.columns[0]), shared.columns
 
     def body(k: Any, x: Float, y: Float) -> tuple:
         return k + 1, *one(flow, [x, y], k, shared)
 
-    count = _count(flow, array)
+    count = step_count(flow, array)
     start = dr.uint32_array_t(array)(0), *(array(v) for v in x)
-    _, x, y = _loop(start, lambda k, *rest: k < count, body, "flow")
+    _, x, y = loop(start, lambda k, *rest: k < count, body, "flow")
     return [x, y]
 
 
 def backward(flow: DiscreteFlow, x: Columns, shared: Shared) -> ColumnOrigin:
     """**Not** the inverse: see :meth:`DiscreteFlow.backward`; ``det`` of the map it goes back."""
-    if done := _compiled(compiled_flow.BACKWARD, flow, x, shared):
+    if done := compiled(compiled_flow.BACKWARD, flow, x, shared):
         return ColumnOrigin(done[:2], done[2], dr.mask_t(type(x[0]))(True))
     array, shared = type(shared.columns[0]), shared.columns
 
@@ -165,97 +162,11 @@ def backward(flow: DiscreteFlow, x: Columns, shared: Shared) -> ColumnOrigin:
         (x, y), m = one_dual(flow, [x, y], k - 1, shared, back=True)
         return k - 1, x, y, det / determinant(m)
 
-    start = _count(flow, array), *(array(v) for v in x), array(1)
-    _, x, y, det = _loop(start, lambda k, *rest: k > 0, body, "flow back")
+    start = step_count(flow, array), *(array(v) for v in x), array(1)
+    _, x, y, det = loop(start, lambda k, *rest: k > 0, body, "flow back")
     return ColumnOrigin([x, y], det, dr.mask_t(array)(True))
 
 
-def invert(flow: DiscreteFlow, x: Columns, shared: Shared, active: Any = True) -> ColumnOrigin:
-    """The start of what ends in ``x``, by Newton's method, step after step; and whether found.
-
-    As :meth:`DiscreteFlow.invert`. Rows that are not ``active`` stay where they are, and packets of
-    rows without an active one cost nothing.
-    """
-    origin = _inverse_compiled(flow, x, shared, active) or _inverse(flow, x, shared, active)
-    if counting.wanted():
-        mask = dr.mask_t(type(x[0]))
-        counting.add("not inverted", dr.count(mask(active) & ~origin.found)[0])
-    return origin
-
-
-def _inverse_compiled(
-    flow: DiscreteFlow, x: Columns, shared: Shared, active: Any
-) -> ColumnOrigin | None:
-    done = _compiled(compiled_flow.INVERSE, flow, x, shared, active)
-    return None if done is None else ColumnOrigin(done[:2], done[2], done[3] != 0)
-
-
-def _inverse(flow: DiscreteFlow, x: Columns, shared: Shared, active: Any) -> ColumnOrigin:
-    array, shared = type(shared.columns[0]), shared.columns
-    mask = dr.mask_t(array)
-
-    def body(k: Any, x: Float, y: Float, det: Float, found: Any, active: Any) -> tuple:
-        k = k - 1
-        (x, y), m, converged = _invert_one(flow, [x, y], k, shared)
-        return k, x, y, det * determinant(m), found & converged, active
-
-    start = _count(flow, array), *(array(v) for v in x), array(1), mask(True), mask(active)
-    _, x, y, det, found, _ = _loop(
-        start, lambda k, x, y, det, found, active: active & (k > 0), body, "flow inverse"
-    )
-    return ColumnOrigin([x, y], det, found)
-
-
-def _invert_one(
-    flow: DiscreteFlow, target: Columns, k: Any, shared: Columns
-) -> tuple[Columns, Matrix, Any]:
-    """The ``x`` that step ``k`` takes to ``target``, the step's derivatives there, and whether it
-    was found. A step of Newton's that does not come nearer is halved."""
-    array = type(shared[0])
-    index = dr.uint32_array_t(array)
-    guess = one(flow, target, k, shared, back=True)
-    scale = 1 + _size(target) + _size(guess)
-    goal = _TOLERANCE * scale
-
-    def body(
-        i: Any, x: Float, y: Float, dx: Float, dy: Float, left: Float,
-        a: Float, c: Float, b: Float, d: Float, rx: Float, ry: Float,
-    ) -> tuple:  # fmt: skip
-        trial = [x + dx, y + dy]
-        out, m = one_dual(flow, trial, k, shared)
-        right = [t - o for t, o in zip(target, out, strict=True)]
-        away = _size(right)
-        better = away < left
-        kept = [
-            dr.select(better, new, old)
-            for new, old in zip([*trial, *m, *right], [x, y, a, c, b, d, rx, ry], strict=True)
-        ]
-        x, y, *matrix, rx, ry = kept
-        newton = solve(tuple(matrix), [rx, ry])
-        dx, dy = (
-            dr.select(better, new, 0.5 * old) for new, old in zip(newton, [dx, dy], strict=True)
-        )
-        return i + 1, x, y, dx, dy, dr.select(better, away, left), *matrix, rx, ry
-
-    zero, far = array(0), array(dr.inf)
-    start = (
-        index(0), *(array(v) for v in guess), zero, zero, far,
-        array(1), zero, zero, array(1), zero, zero,
-    )  # fmt: skip
-    found = _loop(
-        start,
-        lambda i, x, y, dx, dy, left, *rest: (i < ROUNDS) & ~(left <= goal),
-        body,
-        "newton",
-    )
-    _, x, y, _, _, left, *matrix, rx, ry = found
-    move = solve(tuple(matrix), [rx, ry])
-    return [x + move[0], y + move[1]], tuple(matrix), left <= 16 * goal
-
-
-def _size(v: Columns) -> Float:
-    return dr.maximum(dr.abs(v[0]), dr.abs(v[1]))
-
-
-def _loop(state: tuple, cond: Any, body: Any, label: str) -> tuple:
+def loop(state: tuple, cond: Any, body: Any, label: str) -> tuple:
+    """A loop inside one kernel."""
     return dr.while_loop(state, cond, body, mode="symbolic", label=label)

@@ -8,7 +8,7 @@ from typing import Any
 import drjit as dr
 
 from harness.core.columns.bridge import Columns, Float
-from harness.nets import defensive, discrete_flow_columns
+from harness.nets import defensive, discrete_flow_columns, discrete_flow_inverse
 from harness.nets.conditional_flow import ColumnConditioned, ConditionalFlow
 from harness.nets.coupling import unit_normal_columns
 from harness.nets.discrete_flow import DiscreteFlow
@@ -47,7 +47,7 @@ def sample(
     ]
     det = dr.select(felt, again.det, moved.det)
     if elsewhere is not None:
-        other = discrete_flow_columns.invert(flow, place, at.shared, elsewhere)
+        other = discrete_flow_inverse.invert(flow, place, at.shared, elsewhere)
         det = dr.select(elsewhere, other.det, det)
         origin = [dr.select(elsewhere, a, b) for a, b in zip(other.x, origin, strict=True)]
     return *wo, _mixed(net, at.base.pdf(origin) * (slope / dr.abs(det)), wo, at.base)
@@ -58,11 +58,11 @@ def density(
     flow: DiscreteFlow,
     at: ColumnConditioned,
     wo: Columns,
-    back: Back = discrete_flow_columns.invert,
+    back: Back = discrete_flow_inverse.invert,
 ) -> Float:
     """Density per disk area at ``wo``; not a number where ``back`` found no origin.
 
-    By :func:`discrete_flow_columns.invert` that of :func:`sample`.
+    By :func:`discrete_flow_inverse.invert` that of :func:`sample`.
     """
     place, slope = net.place_columns(at, wo)
     origin = back(flow, place, at.shared)
