@@ -15,8 +15,10 @@ from torch import Tensor
 from harness.analysis.constant_light import preferred
 from harness.analysis.integral import variance_of
 from harness.analysis.pooling import Pooled, variance_ratio
+from harness.analysis.records.constant_light import numbers
 from harness.core import registry
 from harness.core.protocol.disk import square_to_disk
+from harness.core.record import Raw
 from harness.core.streams import generator
 from harness.measures import light_cells as cells
 from harness.mitsuba_runtime import variant
@@ -234,6 +236,17 @@ def test_a_resolved_integral_is_taken_and_contradictions_are_said() -> None:
     other = _rendered(value, 0.1)
     assert preferred(_stored(lost), other) is other
     assert preferred(None, other) is other
+
+
+def test_a_share_is_one_of_a_variance_that_is_resolved() -> None:
+    arrays = measured("constant-light", Uneven(0.5), FakeMaterial("grey"), resolution=12).arrays
+    y = np.random.default_rng(0).standard_normal((2, 400))
+    y[0, 0] = 1e6
+    for deviations, known in ((arrays["deviations"], True), (Deviations.of(y).packed(), False)):
+        found = numbers(Raw({**arrays, "deviations": deviations})).records
+        by_name = {record.metric: record for record in found}
+        assert ("footprint-share" in by_name) == known
+        assert by_name["tail-resolved"].value == known and "footprint-variance" in by_name
 
 
 def test_an_older_store_of_points_is_read() -> None:

@@ -55,11 +55,11 @@ def test_looks_are_fixed_and_distinct(failing: Path, tmp_path: Path):
 
 
 def test_looks_are_told_apart_in_grey():
-    """Every two of the first nineteen by marker, dash or luminance; words are dark enough."""
+    """Every two of the first twenty-five by marker, dash or luminance; words are dark enough."""
     methods = [MethodColumn(name, name) for name in palette._KNOWN]
     methods += [MethodColumn(f"new-{i}", "new") for i in range(len(palette._SPARE))]
     chosen = list(palette.looks_of(methods).values())
-    assert len({look.colour for look in chosen}) == len(chosen) == 19
+    assert len({look.colour for look in chosen}) == len(chosen) == 25
     alike = [p for p in itertools.combinations(chosen, 2) if not palette.told_apart(*p)]
     assert alike == []
     for look in chosen:

@@ -22,6 +22,7 @@ from harness.stats.divergence import (
 from harness.stats.intervals import (
     geometric_mean,
     geometric_mean_of,
+    interval_of_draws,
     mean_interval,
     median_interval,
     ratio_of_means,
@@ -36,6 +37,18 @@ from harness.stats.ztest import agreement, holm
 def skewed(rng: np.random.Generator, n: int) -> np.ndarray:
     """Like variance estimates: positive, mean 1, coefficient of variation 0.5."""
     return rng.gamma(4, 0.25, n)
+
+
+def test_the_interval_of_draws_is_their_percentiles():
+    rng = np.random.default_rng(0)
+    for shape in ((4001,), (7, 50), (3, 2, 41)):
+        draws = rng.normal(size=shape)
+        expected = np.percentile(draws, [2.5, 97.5], axis=-1)
+        np.testing.assert_allclose(interval_of_draws(draws), expected, rtol=1e-12)
+    far = np.where(np.arange(100) < 50, 1.0, np.inf)
+    assert interval_of_draws(far).tolist() == [1.0, np.inf]
+    far[7] = np.nan
+    assert np.isnan(interval_of_draws(far)).all()
 
 
 class TestMoments:

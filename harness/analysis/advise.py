@@ -14,7 +14,7 @@ from harness.analysis.breakeven import TIMES, VARIANCES, CostLine, costs, timed_
 from harness.analysis.results import Results
 from harness.core.protocol.errors import InputError, nearest
 from harness.stats.crossing import Crossing, envelope
-from harness.stats.intervals import Interval
+from harness.stats.intervals import Interval, interval_of_draws
 
 
 @dataclass(frozen=True)
@@ -182,7 +182,7 @@ def _end_of(crossing: Crossing, rival: str) -> End:
 
 def _interval(drawn: np.ndarray) -> Interval:
     """Value, and the central 95 % of the draws, of [1 + R]."""
-    low, high = np.percentile(drawn[1:], [2.5, 97.5])
+    low, high = interval_of_draws(drawn[1:])
     return Interval(float(drawn[0]), float(low), float(high))
 
 

@@ -23,6 +23,7 @@ from harness.analysis.marks import disturbed
 from harness.analysis.results import SHOWN, MethodColumn, Results
 from harness.stats.crossing import Crossing, crossing
 from harness.stats.distributions import t_quantile
+from harness.stats.intervals import interval_of_draws
 from harness.stats.levels import over_seeds_draws
 from harness.stats.log_estimate import FEWEST, log_mean, log_median
 from harness.store.frame import STALE
@@ -50,6 +51,12 @@ class CostLine:
     def total(self, samples: float) -> NDArray:
         """Seconds until the error that ``samples`` of the reference reach, [1 + R]."""
         return self.fixed + samples * self.slope
+
+    def totals(self, samples: NDArray) -> NDArray:
+        """:meth:`total` at each of ``samples`` [P]: value and ends of its 95 % interval, [3, P]."""
+        with np.errstate(over="ignore", invalid="ignore"):
+            found = self.fixed + samples[:, None] * self.slope
+        return np.vstack([found[None, :, 0], interval_of_draws(found[:, 1:])])
 
     def against(self, rival: CostLine) -> Crossing:
         """Where this method's total time is at most the rival's."""

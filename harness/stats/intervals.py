@@ -27,6 +27,23 @@ class Interval(NamedTuple):
     high: float
 
 
+def interval_of_draws(draws: NDArray) -> NDArray:
+    """Ends [2, ...] of the central 95 % of draws [..., R] of a number, of any distribution.
+
+    Their 2.5 and 97.5 percentiles, between the nearest two in proportion; nan where a draw is.
+    """
+    # Sorting takes a third of the time of numpy's selection.
+    ordered = np.sort(draws, axis=-1)
+    at = np.array([0.025, 0.975]) * (ordered.shape[-1] - 1)
+    low = np.floor(at).astype(int)
+    below, above = (np.moveaxis(ordered[..., i], -1, 0) for i in (low, np.ceil(at).astype(int)))
+    share = (at - low).reshape(2, *[1] * (below.ndim - 1))
+    with np.errstate(invalid="ignore"):  # between two that are infinite
+        between = np.where(below == above, below, below + share * (above - below))
+    # What is no number is sorted last.
+    return np.where(np.isnan(ordered[..., -1]), np.nan, between)
+
+
 def mean_interval(x: ArrayLike, seed: Seed = 0, level: float = 0.95) -> Interval:
     """Mean of independent values [B].
 

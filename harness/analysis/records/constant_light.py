@@ -6,6 +6,7 @@ import math
 
 from harness.analysis.integral import variance_of
 from harness.core.record import Numbers, Raw, Record
+from harness.stats.variance import RESOLVED
 
 
 def numbers(raw: Raw) -> Numbers:
@@ -20,8 +21,9 @@ def numbers(raw: Raw) -> Numbers:
     if found.power > 0:
         records.append(Record("relative-variance", total.value / found.power, unit="1"))
     records.append(Record("footprint-variance", *found.footprint, "radiance^2"))
-    if total.value > 0:
+    # Of a variance that is not resolved there is no share.
+    if total.value > 0 and tail in RESOLVED:
         share = (v / total.value for v in found.footprint)
         records.append(Record("footprint-share", *share, "1"))
-    records.append(Record("tail-resolved", float(tail != "not resolved"), unit="1"))
+    records.append(Record("tail-resolved", float(tail in RESOLVED), unit="1"))
     return Numbers(records, f"{tail}: {total.why}" if total.why else "")

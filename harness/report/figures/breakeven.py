@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from harness.analysis.breakeven import TIMES, CostLine, Costs, costs, timed_scenes
+from harness.analysis.breakeven import TIMES, Costs, costs, timed_scenes
 from harness.analysis.results import Results
 from harness.report.figures.canvas import Canvas, Drawn
 from harness.report.figures.curve_grid import MARK, Across, curve, groups, method_grid, outline
@@ -98,10 +98,9 @@ class _Lines:
         }
         where = [at for at, _ in crossings.values()]
         samples = np.geomspace(min([_RANGE[0], *where]) / 2, max([_RANGE[1], *where]) * 2, _POINTS)
-        totals = {
-            label: line.fixed[0] + samples * line.slope[0] for label, line in found.lines.items()
-        }
-        bands = {label: _band(line, samples) for label, line in found.lines.items()}
+        of_each = {label: line.totals(samples) for label, line in found.lines.items()}
+        totals = {label: made[0] for label, made in of_each.items()}
+        bands = {label: made[1:] for label, made in of_each.items()}
         # A band of a variance that is hardly known spans decades: it leaves the panel.
         seen = around(np.concatenate([*totals.values()]), _BEYOND) if totals else (0.1, 10.0)
         return cls(samples, totals, bands, crossings, seen)
@@ -116,9 +115,3 @@ def _line(ink: Ink, panel: LogPanel, lines: _Lines, label: str, look: Look) -> N
     if label in lines.crossings:
         at, seconds = lines.crossings[label]
         ink.mark(panel.at([at], [seconds]), "o", look.colour, 4.5, open=True)
-
-
-def _band(line: CostLine, samples: np.ndarray) -> np.ndarray:
-    """2.5 and 97.5 percentiles of the total, [2, P]."""
-    totals = line.fixed[1:, None] + samples * line.slope[1:, None]
-    return np.percentile(totals, [2.5, 97.5], axis=0)

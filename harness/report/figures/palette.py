@@ -13,6 +13,7 @@ from typing import Any
 from harness.analysis.results import MethodColumn, Results
 
 _DASHED, _DOTTED, _DASH_DOT = (0, (5, 2)), (0, (1, 1.5)), (0, (6, 1.5, 1, 1.5))
+_LONG = (0, (10, 2))
 
 
 @dataclass(frozen=True)
@@ -69,6 +70,12 @@ _SPARE = (
     Look("#AA4466", "s", _DASH_DOT),
     Look("#88CCEE", "^", _DASHED),
     Look("#661100", "D", _DOTTED),
+    Look("#4477AA", "<", _LONG),
+    Look("#BB5566", "P", _LONG),
+    Look("#997700", "X", _LONG),
+    Look("#004488", ">", _LONG),
+    Look("#EE99AA", "d", _LONG),
+    Look("#6699CC", "*", _LONG),
 )
 
 

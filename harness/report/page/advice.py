@@ -14,6 +14,7 @@ from harness.analysis.results import Results
 from harness.report.page.answer import winners_by_training
 from harness.report.page.names import Names
 from harness.report.page.plain import number
+from harness.stats.intervals import interval_of_draws
 
 SAMPLES = tuple(float(2**i * 1000**k) for k in (1, 2, 3) for i in range(10))
 """Stops of the slider: 1 k, 2 k, ... 512 G samples of the baseline over all pixels."""
@@ -60,43 +61,45 @@ def _count(samples: float) -> str:
 
 
 def _cell(found: Costs, barred: dict[str, str], names: Names) -> dict[str, Any]:
-    totals = {label: _totals(line) for label, line in found.lines.items()}
-    fair = [label for label in totals if label not in barred]
+    stops = np.array(SAMPLES)
+    seconds = {label: line.totals(stops).T for label, line in found.lines.items()}
+    fair = {label: line for label, line in found.lines.items() if label not in barred}
     return {
-        "best": [_best({k: totals[k][i] for k in fair}, names) for i in range(len(SAMPLES))]
+        "best": [
+            _best(fair, n, {k: seconds[k][i] for k in fair}, names) for i, n in enumerate(stops)
+        ]
         if fair
         else [],
         "lines": [
             {
                 "method": names.methods.index(label),
-                "seconds": _ends(total),
+                "seconds": [[number(float(v), _DIGITS) for v in three] for three in at],
                 "mark": found.lines[label].mark,
             }
-            for label, total in totals.items()
+            for label, at in seconds.items()
         ],
         "out": found.missing | barred,
     }
 
 
-def _totals(line: CostLine) -> NDArray:
-    """Seconds [N, 1 + R] at each stop: the value, then its draws."""
+def _best(
+    lines: dict[str, CostLine], samples: float, seconds: dict[str, NDArray], names: Names
+) -> dict[str, Any]:
+    """The fastest, the next, and how far they are apart with its interval.
+
+    ``seconds``: of each, the value and the ends of its interval.
+    """
+    ranked = sorted(lines, key=lambda label: seconds[label][0])
     with np.errstate(over="ignore", invalid="ignore"):
-        return np.stack([line.total(samples) for samples in SAMPLES])
-
-
-def _best(totals: dict[str, NDArray], names: Names) -> dict[str, Any]:
-    """The fastest, the next, and how far they are apart with its interval."""
-    ranked = sorted(totals, key=lambda label: totals[label][0])
-    first = totals[ranked[0]]
-    draws = np.stack([totals[label][1:] for label in ranked])
+        totals = np.stack([lines[label].total(samples) for label in ranked])
     made: dict[str, Any] = {
         "method": names.methods.index(ranked[0]),
-        "surest": number(float((draws.argmin(0) == 0).mean()), 3),
-        "seconds": _said_seconds(first),
+        "surest": number(float((totals[:, 1:].argmin(0) == 0).mean()), 3),
+        "seconds": _said_seconds(*seconds[ranked[0]]),
     }
     if len(ranked) > 1:
         made["next"] = names.methods.index(ranked[1])
-        made |= _margin(first, totals[ranked[1]])
+        made |= _margin(totals[0], totals[1])
     return made
 
 
@@ -107,22 +110,14 @@ def _margin(first: NDArray, second: NDArray) -> dict[str, Any]:
     if not known[0] or known[1:].mean() < _ENOUGH:
         return {"margin": "not resolved", "tie": True}
     margin = second[known] / first[known]
-    low, high = np.percentile(margin[1:], [2.5, 97.5])
+    low, high = interval_of_draws(margin[1:])
     value, interval = numbers.with_interval(float(margin[0]), float(low), float(high))
     return {"margin": f"{value}× {interval}".strip(), "tie": bool(low <= 1)}
 
 
-def _said_seconds(total: NDArray) -> str:
-    low, high = np.percentile(total[1:], [2.5, 97.5])
-    value, *ends = (numbers.duration(float(v)) for v in (total[0], low, high))
+def _said_seconds(*seconds: float) -> str:
+    value, *ends = (numbers.duration(float(v)) for v in seconds)
     return value if ends[0] == ends[1] else f"{value} [{ends[0]}, {ends[1]}]"
-
-
-def _ends(totals: NDArray) -> list[list[float | str | None]]:
-    """Value, low and high at each stop."""
-    low, high = np.percentile(totals[:, 1:], [2.5, 97.5], axis=1)
-    ends = zip(totals[:, 0], low, high, strict=True)
-    return [[number(float(v), _DIGITS) for v in three] for three in ends]
 
 
 def _training(results: Results, scene: str, material: str) -> dict[str, Any]:

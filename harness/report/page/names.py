@@ -14,7 +14,7 @@ from harness.analysis.results import Results
 from harness.report.figures.palette import Look, looks
 from harness.report.table import Row, Section, Table
 
-_DASHES = {"-": "solid", 5: "dash", 1: "dot", 6: "dashdot"}
+_DASHES = {"-": "solid", 5: "dash", 1: "dot", 6: "dashdot", 10: "longdash"}
 _SYMBOLS = {
     "o": "circle", "v": "triangle-down", "s": "square", "^": "triangle-up", "<": "triangle-left",
     ">": "triangle-right", "D": "diamond", "P": "cross", "X": "x", "p": "pentagon", "*": "star",

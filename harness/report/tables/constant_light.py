@@ -25,6 +25,9 @@ def constant_light(results: Results) -> Table | str:
             return results.number(MEASURE, "variance", material, method.label, scene)
 
         def share(material: str, method: MethodColumn, scene: str = scene) -> Estimate | str:
+            whole = variance(material, method, scene)
+            if isinstance(whole, str):
+                return whole
             found = results.number(MEASURE, "footprint-share", material, method.label, scene)
             return found if isinstance(found, str) else scaled(found, 100.0)
 
