@@ -351,6 +351,7 @@ def test_extremes_of_a_material_without_features():
     assert found["uniform-to-0"]["constant"][0] == method.state_dict()["constant"][0]
 
 
+@pytest.mark.slow
 def test_extremes_of_the_histogram_mixture():
     """A few cells for each basis, a flat disk, and one basis alone."""
     name = "histogram-mixture"

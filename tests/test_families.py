@@ -298,6 +298,7 @@ def test_disney_on_a_surface_is_its_row():
     )
 
 
+@pytest.mark.slow
 def test_the_speed_command(monkeypatch, capsys):
     """Prints one line a case, with seven figures; what they are is no matter of a test."""
     from harness.bench import families as speed

@@ -105,6 +105,7 @@ def test_maps_between_their_centres():
         torch.testing.assert_close(found, torch.from_numpy(expected))
 
 
+@pytest.mark.slow
 def test_published_map_holds_between_the_centres_of_cells():
     """Of centres alone, a grid, frequencies up to 2^11 would tell nothing about the rest."""
     from harness.materials import registry as materials

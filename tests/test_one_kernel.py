@@ -83,6 +83,7 @@ def test_parts_of_a_sample(name):
     assert parts.rest == pytest.approx(parts.whole - shown)
 
 
+@pytest.mark.slow
 def test_ratios_are_of_the_same_samples():
     """By compiled kernels, by Dr.Jit and by PyTorch; how long each takes decides nothing."""
     material = rough()

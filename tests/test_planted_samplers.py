@@ -170,6 +170,7 @@ def test_the_integral_is_the_formula() -> None:
         assert abs(found.footprint.value) < 1e-3 * expected
 
 
+@pytest.mark.slow
 def test_the_integral_is_what_long_renders_find() -> None:
     exact = variance_of(measured("constant-light", Correct(), PLASTER, resolution=24).arrays)
     long = equal_spp(Correct(), PLASTER, "uniform-sphere", longest=1, spp=512)
