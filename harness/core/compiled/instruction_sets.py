@@ -31,7 +31,7 @@ SETS = (
         _X86,
         frozenset({"avx512f", "avx512dq", "avx512bw", "avx512vl", "fma"}),
         ("-mavx512f", "-mavx512dq", "-mavx512bw", "-mavx512vl", "-mfma",
-         "-mprefer-vector-width=512", "-DWIDTH=16", "-DPACKETS=4", "-DOUTPUTS=5"),
+         "-mprefer-vector-width=512", "-DWIDTH=16", "-DPACKETS=4", "-DOUTPUTS=4"),
     ),
     InstructionSet(
         "avx2",
