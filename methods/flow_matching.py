@@ -229,7 +229,7 @@ class FlowMatching(SteadyMethod, ColumnMethod):
         return max(self.measured())
 
     def refuse_unsteady(self) -> None:
-        """:class:`StateRefused` if a sample is no number, folded, or moved."""
+        """:class:`StateRefused` if a sample is no number, folded, or moved, or many at the rim."""
         found = self.measured()
         if found.broken:
             raise StateRefused(
@@ -246,6 +246,13 @@ class FlowMatching(SteadyMethod, ColumnMethod):
             )
         if found.moved:
             raise self.moved_by_rounding(found.moved)
+        if found.at_rim:
+            raise StateRefused(
+                f"{self.name}: state refused: {found.at_rim:.2%} of the samples lie within a"
+                " millionth of the rim of the disk, where single precision has no densities;"
+                " expected next to none",
+                found.at_rim,
+            )
 
     # --- what lets a check look deeper -------------------------------------------------
 

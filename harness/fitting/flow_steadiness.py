@@ -18,11 +18,18 @@ from harness.nets.discrete_flow import DiscreteFlow, solve
 class Steadiness(NamedTuple):
     """Shares of samples: ``broken``, whose direction or density is no number; ``folded``, at which
     a step's determinant is not positive; ``moved``, on the disk, whose base point the rounding of
-    the direction moves too far."""
+    the direction moves too far; ``at_rim``, so near to the rim that no state can be followed there,
+    where that is more than ``FEW``."""
 
     broken: float
     folded: float
     moved: float
+    at_rim: float
+
+
+FEW = 0.01
+"""Share of the samples that a right state may have within a millionth of the rim, where the uniform
+disk has two in a million."""
 
 
 @torch.no_grad()
@@ -34,7 +41,7 @@ def steadiness(net: ConditionalFlow, flow: DiscreteFlow, material: Material) -> 
     movement is what the map's inverse Jacobian makes of the rounding, in deviations of the base,
     and may be no more than ``STEADY``. Where the domain itself moves by that much, within a
     millionth of the rim of ``plane``, no state can be followed, not even the Lambertian lobe: such
-    samples do not count.
+    samples do not count, as long as they are ``FEW``.
     """
     net = copy.deepcopy(net).double()
     flow = DiscreteFlow(net.velocity, flow.steps, flow.solver)
@@ -56,4 +63,7 @@ def steadiness(net: ConditionalFlow, flow: DiscreteFlow, material: Material) -> 
         of_domain = (domains.from_disk(net.domain, wo + step)[0] - own).abs().amax(-1)
         counts &= (of_domain <= STEADY)[:, 0]
     moved &= counts
-    return Steadiness(*(float(share.double().mean()) for share in (broken, folded, moved)))
+    # Of a bounded domain all samples lie on the disk; those of the disk's own coordinates need not.
+    rim = ~broken & ~counts if net.domain != "disk" else torch.zeros_like(counts)
+    shares = [float(share.double().mean()) for share in (broken, folded, moved, rim)]
+    return Steadiness(*shares[:3], shares[3] if shares[3] > FEW else 0.0)
