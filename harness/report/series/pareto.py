@@ -37,7 +37,7 @@ class Panel:
 
 
 def panels(results: Results, chart: Chart, scene: str) -> dict[str, Panel]:
-    """A panel per material that has points, the geometric mean over them first."""
+    """A panel per material that has something to compare, the geometric mean over them first."""
     found: dict[str, Panel] = {}
     kin = families(results)
     for material in results.materials:
@@ -55,7 +55,8 @@ def panels(results: Results, chart: Chart, scene: str) -> dict[str, Panel]:
                 levels += [point] if member is family.base else []
             elif 0 < x.value < math.inf:
                 points.append(point)
-        if points:
+        # One alone is compared with nothing.
+        if points and len(points) + len(levels) > 1:
             found[material] = Panel(_stood(points), levels, off)
     if len(found) > 1:
         means = _means(list(found.values()))
