@@ -19,7 +19,8 @@ MASS_TOLERANCE = 5e-4
 """What single precision may cost a density's integral."""
 PDF_TOLERANCE = 1e-4
 NUDGE = 2.0**-22
-"""A few units in the last place of a coordinate: how exactly a direction is known."""
+"""A few units in the last place of a coordinate of the disk, and as large a share of one beyond it:
+how exactly a direction is known."""
 
 
 def check_integral(subject: Subject, case: Case, alpha: float) -> Finding:
@@ -108,9 +109,10 @@ def _neighbours(
 ) -> tuple[Tensor, Tensor]:
     """Least and largest density at ``wo`` and the eight points around it."""
     low, high = middle.clone(), middle.clone()
-    for dx in (-NUDGE, 0.0, NUDGE):
-        for dy in (-NUDGE, 0.0, NUDGE):
-            there = subject.pdf(condition, wo + torch.tensor([dx, dy], device=wo.device))
+    nudge = NUDGE * wo.abs().clamp_min(1)
+    for dx in (-1.0, 0.0, 1.0):
+        for dy in (-1.0, 0.0, 1.0):
+            there = subject.pdf(condition, wo + nudge * torch.tensor([dx, dy], device=wo.device))
             low, high = torch.minimum(low, there), torch.maximum(high, there)
     return low, high
 

@@ -63,7 +63,7 @@ def steadiness(net: ConditionalFlow, flow: DiscreteFlow, material: Material) -> 
         of_domain = (domains.from_disk(net.domain, wo + step)[0] - own).abs().amax(-1)
         counts &= (of_domain <= STEADY)[:, 0]
     moved &= counts
-    # Of a bounded domain all samples lie on the disk; those of the disk's own coordinates need not.
-    rim = ~broken & ~counts if net.domain != "disk" else torch.zeros_like(counts)
+    # Of the plane all samples lie on the disk; those of other domains need not.
+    rim = ~broken & ~counts if net.domain == "plane" else torch.zeros_like(counts)
     shares = [float(share.double().mean()) for share in (broken, folded, moved, rim)]
     return Steadiness(*shares[:3], shares[3] if shares[3] > FEW else 0.0)

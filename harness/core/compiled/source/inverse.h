@@ -12,7 +12,7 @@
 
 namespace {
 
-constexpr float TOLERANCE = 1.0f / (1 << 19);  // of a step's end, relative to the places
+constexpr float TOLERANCE = 1.0f / (1 << 21);  // of a step's end, relative to the places
 constexpr int ROUNDS = 24;                     // of Newton's method, with halved steps among them
 constexpr int HISTORY = 4;                     // velocities that are extrapolated
 constexpr int CHEAP = 3;                       // passes without derivatives at most
@@ -178,14 +178,14 @@ void invert(const Flow &flow, const float *shared, Search &s, float *scratch) {
         if (!first) {
             int again = 0;
             for (int i = 0; i < n; i++)
-                if (!(s.left[i] <= 16.0f * s.goal[i])) s.todo[again++] = i;
+                if (!(s.left[i] <= 64.0f * s.goal[i])) s.todo[again++] = i;
             if (again) {
                 explicit_guess(flow, shared, k, s, again, scratch);
                 newton(flow, shared, k, s, again, scratch);
             }
         }
         for (int i = 0; i < n; i++) {
-            if (!(s.left[i] <= 16.0f * s.goal[i])) s.tile.found[i] = 0.0f;
+            if (!(s.left[i] <= 64.0f * s.goal[i])) s.tile.found[i] = 0.0f;
             float dx, dy;
             solve(s.m[i], s.rx[i], s.ry[i], dx, dy);
             const float x = s.x[i] + dx, y = s.y[i] + dy;
