@@ -8,10 +8,13 @@ machine's lock besides.
 
 from __future__ import annotations
 
+import contextlib
 import pickle
 import queue
+import time
 from collections import Counter
 from typing import Any, Self
+from urllib.parse import urlsplit
 
 from harness.core.protocol.errors import InputError
 from harness.runner import carried_files
@@ -24,6 +27,7 @@ TRIES = 4
 """Of a task that Dask gave up, after it had been started again itself."""
 _WAIT = 1.0
 _CONNECT = 15.0
+_PATIENCE = 60.0
 
 
 def connect(scheduler: str | None, workers: int) -> Any:
@@ -91,6 +95,8 @@ class Cluster:
     def machine(self) -> dict[str, Any]:
         """The identity of the machines that most workers run on: times are taken there."""
         self._look()
+        if not self.machines:
+            raise InputError("--executor dask: no worker says what machine it runs on")
         counted = Counter(repr(m["identity"]) for m in self.machines.values())
         ((most, _),) = counted.most_common(1)
         return next(m["identity"] for m in self.machines.values() if repr(m["identity"]) == most)
@@ -128,6 +134,7 @@ class Cluster:
         try:
             number, future = self.answers.get(timeout=_WAIT)
         except queue.Empty:
+            self._refill()
             return []
         task, known, tries = self.given.pop(number)
         if future is not known:  # of an earlier try
@@ -162,10 +169,23 @@ class Cluster:
         self.given[number] = task, future, tries
         future.add_done_callback(lambda done: self.answers.put((number, done)))
 
+    def _refill(self) -> None:
+        """Start workers of this machine's own cluster anew that Dask has given up."""
+        if (cluster := self.client.cluster) is not None:
+            cluster.scale(len(cluster.worker_spec))
+
     def _like(self, identity: dict[str, Any]) -> list[str]:
-        """Workers on machines of this identity."""
-        self._look()
-        found = [a for a, m in self.machines.items() if m["identity"] == identity]
+        """Hosts that are machines of this identity: a worker that is started again has another
+        address there. They may all be about to be started again: they are waited for."""
+        end = time.monotonic() + _PATIENCE
+        while True:
+            self._look()
+            like = [a for a, m in self.machines.items() if m["identity"] == identity]
+            if like or time.monotonic() > end:
+                break
+            self._refill()
+            time.sleep(_WAIT)
+        found = sorted({str(urlsplit(address).hostname) for address in like})
         if not found:
             raise InputError(
                 f"no worker runs on the machine that the trials are of ({identity.get('cpu')},"
@@ -180,10 +200,11 @@ class Cluster:
         there = set(self.client.scheduler_info(n_workers=-1)["workers"])
         self.machines = {a: m for a, m in self.machines.items() if a in there}
         if new := there - set(self.machines):
-            found = self.client.run(
-                on_cluster.machine, self.device, workers=list(new), on_error="ignore"
-            )
-            self.machines |= found
+            # A worker that dies meanwhile is asked after again.
+            with contextlib.suppress(OSError):
+                self.machines |= self.client.run(
+                    on_cluster.machine, self.device, workers=list(new), on_error="ignore"
+                )
 
     @staticmethod
     def _checked(task: Task, answer: Answer) -> Answer:
