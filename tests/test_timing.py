@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import pairwise
 from types import SimpleNamespace
 from typing import Any
 
@@ -214,6 +215,17 @@ def test_intervals_of_the_ratio_hold_two_as_often_as_they_say():
 
 
 # --- rounds ----------------------------------------------------------------------------
+
+
+def test_nobody_always_follows_the_same():
+    """What is left of the one before in caches and memory is in everybody's time now and then."""
+    before: dict[int, list[int]] = {k: [] for k in range(12)}
+    order: list[int] = []
+    once = [lambda number, k=k: (order.append(k), 1.0)[1] for k in range(12)]
+    interleave(contenders(*once), RoundSettings(rounds=8, max_rounds=8), quiet)
+    for one, other in pairwise(order):
+        before[other].append(one)
+    assert all(len(set(found)) >= 3 for found in before.values())
 
 
 def test_rounds_are_interleaved_and_rotate():

@@ -134,7 +134,8 @@ class Timings:
 def interleave(
     contenders: Sequence[Contender], settings: RoundSettings, notify: Callable[[str], None]
 ) -> Timings:
-    """Time all ``contenders`` in rounds whose order rotates, so that drift hits all alike.
+    """Time all ``contenders`` in rounds of ever another order, so that drift hits all alike, and
+    nobody always comes after the one that leaves the caches and the memory worst.
 
     After the planned rounds those whose interval is still too wide go on, each with its rival
     in the same round, until it is narrow enough or the budget of rounds is spent. All
@@ -154,11 +155,16 @@ def interleave(
                 break
             running, of = sorted(_with_rivals(contenders, wide)), most
         notify(f"timing round {number + 1} of {of}, {len(running)} contenders")
-        first = number % len(running)
-        for index in running[first:] + running[:first]:
-            timings.take(index, number)
+        for place in _order(len(running), number):
+            timings.take(running[place], number)
     timings.wall = now() - start
     return timings
+
+
+def _order(count: int, number: int) -> NDArray:
+    """A permutation drawn for the round; its first rotates."""
+    drawn = np.random.default_rng(number).permutation(count)
+    return np.roll(drawn, -int(np.flatnonzero(drawn == number % count)[0]))
 
 
 def _with_rivals(contenders: Sequence[Contender], wanted: Iterable[int]) -> set[int]:
