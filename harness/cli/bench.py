@@ -40,7 +40,7 @@ def register(app: typer.Typer) -> None:
         from harness.bench import profile as profiling
         from harness.bench import ratios as beside
         from harness.bench.adapters import run
-        from harness.core.protocol.errors import InputError
+        from harness.core.protocol.errors import InputError, Unsupported
         from harness.core.terminal import Screen
 
         for wanted, option in ((profile, "--profile"), (ratios, "--ratios")):
@@ -55,7 +55,12 @@ def register(app: typer.Typer) -> None:
             elif profile:
                 rows = profiling.run(methods, material, rounds, steps, status.update)
             else:
-                rows = run(methods, material, scene, device, rounds, steps, status.update)
+                try:
+                    rows = run(methods, material, scene, device, rounds, steps, status.update)
+                except Unsupported as error:
+                    raise InputError(
+                        f"bench --material: {error}; renders are timed beside one's own sampler"
+                    ) from None
         table = Table(title=rows.title, caption=rows.caption)
         for i, name in enumerate(rows.columns):
             table.add_column(name, justify="left" if i == 0 else "right")
