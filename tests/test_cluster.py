@@ -109,6 +109,33 @@ def test_what_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
     assert "expected --executor dask" in capsys.readouterr().err
 
 
+class _Client:
+    """Of a cluster whose one worker is away for a look, and comes back at another address."""
+
+    cluster = None
+    looks = 0
+
+    def scheduler_info(self, n_workers: int) -> dict[str, Any]:
+        self.looks += 1
+        there = {1: "tcp://10.0.0.7:1111", 2: None}.get(self.looks, "tcp://10.0.0.7:2222")
+        return {"workers": {there: {}} if there else {}}
+
+    def run(self, function: Any, device: str, workers: list[str], on_error: str) -> dict[str, Any]:
+        return {address: {"identity": {"cpu": "a"}, "host": "h"} for address in workers}
+
+
+def test_tasks_are_bound_to_hosts_and_wait_for_workers(monkeypatch: pytest.MonkeyPatch) -> None:
+    """An address goes with the worker: bound to it, a task would wait for ever."""
+    monkeypatch.setattr("harness.runner.cluster._WAIT", 0.01)
+    cluster = Cluster(_Client(), "cpu", LIMITS)
+    assert cluster.machine() == {"cpu": "a"}
+    assert cluster._like({"cpu": "a"}) == ["10.0.0.7"]
+    assert cluster.client.looks == 3
+    monkeypatch.setattr("harness.runner.cluster._PATIENCE", 0.0)
+    with pytest.raises(InputError, match="no worker runs on the machine"):
+        cluster._like({"cpu": "b"})
+
+
 @pytest.mark.slow
 def test_nobody_at_the_address(monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("distributed")

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import math
+from contextlib import nullcontext
 
 import pytest
 import torch
 
+from harness.core import registry
+from harness.core.protocol.errors import StateRefused
 from harness.fitting.flow_steadiness import steadiness
 from harness.nets import domains
 from harness.nets.conditional_flow import ConditionalFlow
@@ -53,3 +56,16 @@ def test_samples_where_the_domain_itself_moves_count_for_themselves():
     assert 1 - domains.to_disk("plane", place).norm() < 1e-7
     found = steadiness(net, flow, MATERIALS["tilted"]())
     assert found.moved < 0.01 and found.at_rim > 0.99
+
+
+@pytest.mark.parametrize(("radius", "sigma", "refused"), [(5.6, 0.1, True), (0.0, 1.0, False)])
+def test_a_state_whose_samples_lie_at_the_rim_is_refused(radius, sigma, refused):
+    """And the Lambertian lobe, which has two in a million there, is not."""
+    method = registry.make(
+        "flow-matching", steps=1, base="gaussian", domain="plane", width=8, layers=1, base_width=32
+    )
+    method.bind(MATERIALS["tilted"]())
+    state = still(radius, sigma)[0].state_dict()
+    told = pytest.raises(StateRefused, match="millionth of the rim") if refused else nullcontext()
+    with told:
+        method.load_state_dict(state)

@@ -17,6 +17,8 @@ variant.use("cpu")
 NAMES = registry.puresample_names()
 NARROW = ("stud-grid", "scattered-studs")
 """Highlights narrower than the cells that a KL is counted in, and not learned well."""
+WORST = {"bronze-grains": 0.05, "clay-beads": 0.05}
+"""What the worst direction's KL stays below, where that is less than 0.25."""
 
 
 def test_the_eight_of_figure_5_are_there_and_six_are_learned_well():
@@ -36,7 +38,7 @@ def test_a_shipped_material(name):
     source = sources.load(name)
     assert record["description"] == json.loads(json.dumps(source.identity()))
     quality = record["quality"]
-    assert (quality["kl_worst"] < 0.25) != (name in NARROW)
+    assert (quality["kl_worst"] < WORST.get(name, 0.25)) != (name in NARROW)
     assert quality["albedo_within"] > 0.95
     assert abs(quality["albedo_bias"]) < 0.005
     material, n = registry.make(name), 1 << 15

@@ -61,7 +61,7 @@ class Advice:
             f"{self.material} in {self.scene}, {numbers.count(self.samples)} samples of "
             f"{self.reference} or what equals them in error"
             + (", fits shipped" if self.shipped else ", fits made here"),
-            f"  use        {self.method}: {_seconds(self.seconds)}",
+            f"  use        {self.method}: {numbers.duration_with_interval(*self.seconds)}",
         ]
         if not self.runner_up:
             said.append("  runner-up  none: no other method has a number")
@@ -184,11 +184,6 @@ def _interval(drawn: np.ndarray) -> Interval:
     """Value, and the central 95 % of the draws, of [1 + R]."""
     low, high = interval_of_draws(drawn[1:])
     return Interval(float(drawn[0]), float(low), float(high))
-
-
-def _seconds(interval: Interval) -> str:
-    value, low, high = (numbers.duration(v) for v in interval)
-    return value if low == high else f"{value} [{low}, {high}]"
 
 
 def _end(end: End, side: str) -> str:

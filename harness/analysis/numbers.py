@@ -93,6 +93,12 @@ def duration(seconds: float) -> str:
     return f"{plain(scaled, max(0, 1 - _magnitude(scaled)))} {suffix}"
 
 
+def duration_with_interval(value: float, low: float, high: float) -> str:
+    """``26 s [24 s, 29 s]``; the value alone where the ends read the same."""
+    said, *ends = (duration(float(v)) for v in (value, low, high))
+    return said if ends[0] == ends[1] else f"{said} [{ends[0]}, {ends[1]}]"
+
+
 def _bound(value: float, decimals: int) -> str:
     """A bound of an interval: the value's places, but no more digits than can be read."""
     return plain(value, min(decimals, LARGEST_DIGITS - 1 - _magnitude(value)))

@@ -51,6 +51,7 @@ def run(
     variant.use(device)
     material = materials.make(material_name)
     scene = scenes.make(scene_name)
+    native = _native_times(scene, material, rounds, notify)
     jobs = []
     for name in names or registry.names():
         method = registry.make(name)
@@ -65,7 +66,6 @@ def run(
         if (twin := method.in_torch()) is not None:
             # What the same network costs without columns; timed alone, not in a render.
             jobs.append(_job(f"{name}, torch", twin, material, budget, rounds))
-    native = _native_times(scene, material, rounds, notify)
     outcomes = Throughput().run(jobs, notify)
     timed = [_numbers(job, outcome) for job, outcome in zip(jobs, outcomes, strict=True)]
     renders = _render_times(jobs, timed, scene, material, rounds, notify)

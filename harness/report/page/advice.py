@@ -95,7 +95,7 @@ def _best(
     made: dict[str, Any] = {
         "method": names.methods.index(ranked[0]),
         "surest": number(float((totals[:, 1:].argmin(0) == 0).mean()), 3),
-        "seconds": _said_seconds(*seconds[ranked[0]]),
+        "seconds": numbers.duration_with_interval(*seconds[ranked[0]]),
     }
     if len(ranked) > 1:
         made["next"] = names.methods.index(ranked[1])
@@ -113,11 +113,6 @@ def _margin(first: NDArray, second: NDArray) -> dict[str, Any]:
     low, high = interval_of_draws(margin[1:])
     value, interval = numbers.with_interval(float(margin[0]), float(low), float(high))
     return {"margin": f"{value}× {interval}".strip(), "tie": bool(low <= 1)}
-
-
-def _said_seconds(*seconds: float) -> str:
-    value, *ends = (numbers.duration(float(v)) for v in seconds)
-    return value if ends[0] == ends[1] else f"{value} [{ends[0]}, {ends[1]}]"
 
 
 def _training(results: Results, scene: str, material: str) -> dict[str, Any]:
