@@ -272,6 +272,27 @@ def test_at_the_rim_a_sample_has_the_density_of_a_query(monkeypatch):
     assert (off() > 1e-4).double().mean() > 1e-2
 
 
+def test_a_direction_of_the_uniform_share_without_origin_has_no_density(monkeypatch):
+    method = fitted(**{**FEW, "domain": "disk"}, uniform=0.25)
+    g = torch.Generator().manual_seed(4)
+    condition, u = MATERIALS["tilted"]().conditions(4000, g), torch.rand(4000, 3, generator=g)
+    uniform = u[:, 2] < 0.25
+    assert 0 < int(uniform.sum()) < 4000
+    before = method.sample(condition, u).pdf
+    assert bool(before.isfinite().all())
+    found = discrete_flow_inverse.invert
+
+    def lost(*given):
+        origin = found(*given)
+        nowhere = origin.det != origin.det
+        return discrete_flow_columns.ColumnOrigin(origin.x, origin.det, nowhere)
+
+    monkeypatch.setattr("harness.nets.discrete_flow_inverse.invert", lost)
+    after = method.sample(condition, u).pdf
+    assert torch.equal(after.isnan(), uniform)
+    assert torch.equal(after[~uniform], before[~uniform])
+
+
 def test_the_published_pdf_is_another_and_is_declared_so():
     """Its integral is not one; of the same state, with the same samples."""
     exact = fitted(**{**FEW, "steps": 4})

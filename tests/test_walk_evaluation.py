@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from functools import partial
 
 import numpy as np
@@ -121,4 +122,6 @@ def test_the_command_compares_both(monkeypatch, tmp_path, capsys):
     monkeypatch.setattr("sys.argv", ["evaluations", str(tmp_path / "mine.safetensors")])
     evaluations.main()
     said = capsys.readouterr().out
-    assert "clay-beads" in said and "4,096 evaluations" in said and "KL (nats)" in said
+    blocks = int(re.search(r"([0-9,]+) evaluations", said).group(1).replace(",", "")) / 4096
+    # How many blocks the seconds allow is the machine's matter.
+    assert "clay-beads" in said and "KL (nats)" in said and blocks >= 1 and blocks == int(blocks)

@@ -18,6 +18,7 @@ from harness.materials import registry as materials
 from harness.measures import registry as measures
 from harness.measures.base import Job, Outcome
 from harness.measures.throughput import Throughput
+from harness.measures.timing import round_order
 from harness.mitsuba_runtime import variant
 from harness.scenes import registry as scenes
 from harness.stats.intervals import median_interval
@@ -162,10 +163,12 @@ def _render_times(
         spp[i] = SPP if RESOLUTION**2 * SPP / rate < LONGEST else 1
         for seed in range(2):
             prepared[i].render(spp[i], seed)
+    ready = list(prepared.items())
     times: list[list[float]] = [[] for _ in jobs]
     for number in range(rounds):
         notify(f"rendering round {number + 1} of {rounds}")
-        for i, p in prepared.items():
+        for place in round_order(len(ready), number):
+            i, p = ready[place]
             times[i].append(p.render(spp[i], seed=10 + number).seconds / spp[i])
     return [np.array(t) for t in times]
 

@@ -9,6 +9,8 @@ import drjit as dr
 import numpy as np
 import torch
 
+from harness.measures.timing import round_order
+
 Work = Callable[[], object]
 
 
@@ -20,10 +22,12 @@ def interleaved(
     On a CPU the processor's clock, which other work on the machine lengthens less than the wall's.
     """
     times: dict[str, list[float]] = {name: [] for name in works}
-    for _ in range(rounds + 2):
-        for name, work in works.items():
+    names = list(works)
+    for number in range(rounds + 2):
+        for place in round_order(len(names), number):
+            name = names[place]
             start = _clock(device)
-            work()
+            works[name]()
             times[name].append(_clock(device) - start)
     return {name: np.array(values[2:]) for name, values in times.items()}
 

@@ -14,6 +14,7 @@ from harness.measures.base import Job, Measure, Outcome
 from harness.measures.base import Settings as BaseSettings
 from harness.measures.compact import single
 from harness.measures.images import checked
+from harness.measures.timing import round_order
 from harness.measures.walks import size_bytes, source_of
 from harness.microgeometry.walks.meshes import parts
 from harness.microgeometry.walks.surface import WalkedSurface
@@ -32,10 +33,10 @@ _LEAST = 2
 class Patches(Measure):
     """Time, noise and difference of the material's renders and of its microgeometry's own.
 
-    In ``rounds``, one after the other, Mitsuba's path tracer renders triangles of the surface laid
-    on the scene's sheets, and the material is rendered on the sheets by the method, ``spp`` samples
-    a pixel. All ``truth_spp`` samples of the truth are divided among the rounds. Luminance in those
-    pixels that show the material alone.
+    In ``rounds``, each in an order drawn for it, Mitsuba's path tracer renders triangles of the
+    surface laid on the scene's sheets, and the material is rendered on the sheets by the method,
+    ``spp`` samples a pixel. All ``truth_spp`` samples of the truth are divided among the rounds.
+    Luminance in those pixels that show the material alone.
 
     ``noise`` is the variance of one sample of a pixel over the mean square of the truth.
     ``same-noise-time-ratio`` is how many times as long the path tracer takes to the same noise, the
@@ -78,7 +79,7 @@ class Patches(Measure):
             notify(f"{job.scene.name}: round {number + 1} of {settings.rounds}")
             seed = 1000 * (job.seed + 1) + number
             entrants = [(truth, each), *((p, settings.spp) for p in ready)]
-            for k in np.roll(np.arange(len(entrants)), number):
+            for k in round_order(len(entrants), number):
                 prepared, spp = entrants[k]
                 # No two entrants share random numbers.
                 rendered = prepared.render(spp, seed + 10**6 * int(k))

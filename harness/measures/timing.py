@@ -155,14 +155,15 @@ def interleave(
                 break
             running, of = sorted(_with_rivals(contenders, wide)), most
         notify(f"timing round {number + 1} of {of}, {len(running)} contenders")
-        for place in _order(len(running), number):
+        for place in round_order(len(running), number):
             timings.take(running[place], number)
     timings.wall = now() - start
     return timings
 
 
-def _order(count: int, number: int) -> NDArray:
-    """A permutation drawn for the round; its first rotates."""
+def round_order(count: int, number: int) -> NDArray:
+    """Who comes when in round ``number``: a permutation [count] drawn for the round, so that nobody
+    always follows the same one; its first rotates."""
     drawn = np.random.default_rng(number).permutation(count)
     return np.roll(drawn, -int(np.flatnonzero(drawn == number % count)[0]))
 

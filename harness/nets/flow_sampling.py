@@ -30,6 +30,7 @@ def sample(
     The rounding of the direction, which near the rim moves its place in the plane, is taken
     back to the base by the map's Jacobian: the density is the one at the rounded direction.
     Where it moves by more than ``FELT``, the map is run again from there, for its determinant.
+    Not a number where a direction of the uniform share has no origin that ``invert`` found.
     """
     elsewhere, pick = outside(net, at.base, u)
     x0 = at.base.place(unit_normal_columns(u), pick)
@@ -48,7 +49,7 @@ def sample(
     det = dr.select(felt, again.det, moved.det)
     if elsewhere is not None:
         other = discrete_flow_inverse.invert(flow, place, at.shared, elsewhere)
-        det = dr.select(elsewhere, other.det, det)
+        det = dr.select(elsewhere, _known(other, slope), det)
         origin = [dr.select(elsewhere, a, b) for a, b in zip(other.x, origin, strict=True)]
     return *wo, _mixed(net, at.base.pdf(origin) * (slope / dr.abs(det)), wo, at.base)
 
@@ -66,10 +67,14 @@ def density(
     """
     place, slope = net.place_columns(at, wo)
     origin = back(flow, place, at.shared)
-    pdf = at.base.pdf(origin.x) * (slope / dr.abs(origin.det))
-    # Where there is no place there is no sample, and nothing to be found.
-    pdf = dr.select(origin.found | (slope == 0), pdf, dr.nan)
+    pdf = at.base.pdf(origin.x) * (slope / dr.abs(_known(origin, slope)))
     return _mixed(net, pdf, wo, at.base)
+
+
+def _known(origin: discrete_flow_columns.ColumnOrigin, slope: Float) -> Float:
+    """The determinant at ``origin``; not a number where none was found."""
+    # Where there is no place there is no sample, and nothing to be found.
+    return dr.select(origin.found | (slope == 0), origin.det, dr.nan)
 
 
 def outside(net: ConditionalFlow, base: ColumnMixture, u: Columns) -> tuple[Any, Float]:
