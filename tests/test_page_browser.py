@@ -299,8 +299,11 @@ def test_nothing_runs_out_of_a_narrow_window(browser, file: Path, width: int):
 
 def test_the_other_pages_open(browser, results: Path, tmp_path: Path):
     again = Made(materials=["suede"], size=SIZE, seeds=(2,)).write(results.parent / "second")
-    text, old = index(results.parent)
-    assert {folder.name for folder in old} == {"first", "second"}
+    pages: list[str] = []
+    text = index(results.parent, pages.append)
+    assert {Path(page).parent.parent.name for page in pages} == {"first", "second"}
+    index(results.parent, pages.append)
+    assert len(pages) == 2  # the pages are newer than the results now
     files = {"index.html": text, "comparison.html": comparison([results, again])}
     for name, document in files.items():
         path = tmp_path / name

@@ -260,9 +260,9 @@ def test_total_variation_smooths_the_texture():
         profile = replace(TINY, architecture=sizes, tv=tv, likelihood_steps=5)
         torch.manual_seed(0)
         network = PureSample(sizes)
-        before = float(density.variation(network).detach())
+        before = float(density.variation(network, 0, 2).detach())
         density.fit(network, walked, profile, 0, "cpu", lambda *_: None)
-        rough[tv] = float(density.variation(network).detach()) / before
+        rough[tv] = float(density.variation(network, 0, 2).detach()) / before
     assert rough[10.0] < 0.3 < 0.6 < rough[0.0]
 
 
@@ -275,6 +275,38 @@ def test_the_albedo_leaves_the_texture_alone():
     albedo.fit(network, albedo.draw(source, 1024, 8, 1), profile, 0, "cpu", lambda *_: None)
     for key, value in network.state_dict().items():
         assert torch.equal(value, state[key]) == (not key.startswith("albedo_net"))
+
+
+class Chequered(Matt):
+    """A tint by place, which changes no direction."""
+
+    def walk(self, u, wi, channel, seed, device="cpu"):
+        bright = ((u * 2).floor().sum(1) % 2 > 0)[:, None]
+        found = super().walk(u, wi, channel, seed, device)
+        thinned = torch.rand(len(u), 1, generator=rng(seed + 1)) < 0.25
+        left = found.left & (bright | thinned)[:, 0]
+        return found._replace(left=left)
+
+
+def test_channels_of_its_own_teach_the_albedo_a_tint():
+    sizes = replace(TINY.architecture, resolution=8, channels=2, albedo_channels=2)
+    profile = replace(TINY, architecture=sizes, albedo_steps=400, tv=0.0)
+    torch.manual_seed(0)
+    network = PureSample(sizes)
+    before = network.texture.detach().clone()
+    counts = albedo.draw(Chequered(0.8, 0.8, 0.8), 1 << 14, 8, 1)
+    albedo.fit(network, counts, profile, 0, "cpu", lambda *_: None)
+    after = network.texture.detach()
+    assert torch.equal(after[:, :2], before[:, :2])
+    assert not torch.equal(after[:, 2:], before[:, 2:])
+    u, wi = torch.tensor([[0.25, 0.25], [0.25, 0.75]]), torch.zeros(2, 2)
+    with torch.no_grad():
+        found = network.albedo(network.features(u), wi)
+        torch.testing.assert_close(found[0], torch.full((3,), 0.2), rtol=0, atol=0.04)
+        torch.testing.assert_close(found[1], torch.full((3,), 0.8), rtol=0, atol=0.04)
+        # The density does not see them.
+        rows = network.condition(network.features(u), torch.zeros(2).long(), wi)
+    assert rows.shape == (2, 2 + 3 + 2)
 
 
 SETTINGS = ("walks=60000", "width=16", "layers=2", "steps=2", "matching_steps=10",

@@ -59,13 +59,10 @@ def _report(results_dir: Path, console: object, say: Callable[[str], None]) -> P
 
 
 def _index(place: Path, say: Callable[[str], None]) -> Path:
-    from harness.report import write as reports
     from harness.report.page.index import index
     from harness.report.place import write_page
 
-    text, old = index(place)
-    for folder in old:
-        say(str(reports.load(folder).write()[0]))
+    text = index(place, say)
     page = place / "index.html"
     write_page(page, text, "index")
     say(str(page))

@@ -20,11 +20,12 @@ class Architecture:
     """Density: ``layers`` hidden layers of ``width``, ``steps`` of Euler's method, from ``base`` in
     ``domain`` (:mod:`harness.nets.domains`), ``frequencies`` of wi. Albedo: ``albedo_layers``
     hidden layers of ``albedo_width``, ``residual`` or plain. ``resolution`` and ``channels`` of the
-    latent texture, 0 and 0 where the material is the same everywhere. ``grey``: one channel stands
-    for all three.
+    latent texture, 0 and 0 where the material is the same everywhere; ``albedo_channels`` more, of
+    which the density knows nothing. ``grey``: one channel stands for all three.
 
     The paper's: width 64, albedo 2 x 32, domain ``disk``, 50 steps (10 after Reflow); with a
-    texture of 256 texels and 32 channels width 128, albedo 5 x 128 with one residual layer.
+    texture of 256 texels and 32 channels width 128, albedo 5 x 128 with one residual layer. It has
+    no channels of the albedo's own: a tint that changes no direction is then in no channel.
     """
 
     width: int = 64
@@ -40,12 +41,18 @@ class Architecture:
     residual: bool = False
     resolution: int = 0
     channels: int = 0
+    albedo_channels: int = 0
     grey: bool = False
 
     @property
     def textured(self) -> bool:
         """Whether the material varies over its surface."""
         return self.channels > 0
+
+    @property
+    def features(self) -> int:
+        """Numbers that the texture has at a place."""
+        return self.channels + self.albedo_channels
 
     def as_dict(self) -> dict[str, Any]:
         """As JSON data."""
@@ -78,6 +85,9 @@ class Architecture:
             raise InputError(f"{where}: expected 0 to 16 frequencies and a share from 0 below 1")
         if (found.resolution > 0) != found.textured or not 0 <= found.resolution <= MOST:
             raise InputError(f"{where}: expected both of resolution and channels, or neither")
-        if not 0 <= found.channels <= 256:
-            raise InputError(f"{where}: channels: expected 0 to 256, got {found.channels}")
+        for key in ("channels", "albedo_channels"):
+            if not 0 <= getattr(found, key) <= 256:
+                raise InputError(f"{where}: {key}: expected 0 to 256, got {getattr(found, key)}")
+        if found.albedo_channels and not found.textured:
+            raise InputError(f"{where}: albedo_channels: expected 0, there being no texture")
         return found

@@ -47,7 +47,7 @@ class PureSampleMaterial(ColumnMaterial):
         self.name = name
         self.network = network.eval().requires_grad_(False)
         self._identity = identity
-        self.n_features = network.architecture.channels
+        self.n_features = network.architecture.features
         self._tables: dict[Any, ColumnTable] = {}
 
     def identity(self) -> dict[str, Any]:
@@ -57,7 +57,7 @@ class PureSampleMaterial(ColumnMaterial):
     # --- conditions --------------------------------------------------------------------
 
     def places(self, uv: Tensor) -> Tensor:
-        """Latent vectors [N, channels] at ``uv`` [N, 2]."""
+        """Latent vectors [N, features] at ``uv`` [N, 2]."""
         with torch.no_grad():
             return self.network.features(uv)
 

@@ -76,11 +76,11 @@ class PureSample(nn.Module):
             share=a.share,
             framed=a.base != "normal",
         )
-        widths = [a.channels + COUNT, *[a.albedo_width] * a.albedo_layers, CHANNELS]
+        widths = [a.features + COUNT, *[a.albedo_width] * a.albedo_layers, CHANNELS]
         self.albedo_net = Residual(widths) if a.residual else MLP(widths)
         self.texture = None
         if a.textured:
-            self.texture = nn.Parameter(0.1 * torch.randn(a.resolution**2, a.channels))
+            self.texture = nn.Parameter(0.1 * torch.randn(a.resolution**2, a.features))
 
     @property
     def flow(self) -> DiscreteFlow:
@@ -88,16 +88,24 @@ class PureSample(nn.Module):
         return DiscreteFlow(self.density.velocity, self.architecture.steps)
 
     def features(self, uv: Tensor) -> Tensor:
-        """Latent vectors [N, channels] at ``uv`` [N, 2]."""
+        """Latent vectors [N, features] at ``uv`` [N, 2]; the density's channels come first."""
         if self.texture is None:
             return uv.new_empty(len(uv), 0)
         return textures.lookup(self.texture, self.architecture.resolution, uv)
+
+    def features_beside(self, uv: Tensor) -> Tensor:
+        """:meth:`features`, in which the density's channels stand still: without gradient."""
+        if self.texture is None:
+            return self.features(uv)
+        of_density, own = self.texture.tensor_split([self.architecture.channels], 1)
+        table = torch.cat([of_density.detach(), own], 1)
+        return textures.lookup(table, self.architecture.resolution, uv)
 
     def condition(self, features: Tensor, channel: Tensor, wi: Tensor) -> Tensor:
         """Rows [N, channels + 3 + 2] of the density's network: texture, one-hot channel, wi."""
         which = torch.zeros_like(channel) if self.architecture.grey else channel
         one_hot = nn.functional.one_hot(which, CHANNELS).to(wi.dtype)
-        return torch.cat([features, one_hot, wi], 1)
+        return torch.cat([features[:, : self.architecture.channels], one_hot, wi], 1)
 
     def albedo_logit(self, features: Tensor, wi: Tensor) -> Tensor:
         """[N, 3] before the sigmoid: particles that survive are a share from 0 to 1."""
@@ -124,7 +132,8 @@ def at_columns(network: PureSample, features: Columns, channel: Any, wi: Columns
     if network.architecture.grey:
         channel = type(channel)(0)
     one_hot = [dr.select(channel == k, type(wi[0])(1), 0) for k in range(CHANNELS)]
-    return network.density.at_columns([*features, *one_hot, *wi])
+    known = features[: network.architecture.channels]
+    return network.density.at_columns([*known, *one_hot, *wi])
 
 
 def albedo_columns(network: PureSample, features: Columns, wi: Columns) -> Columns:

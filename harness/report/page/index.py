@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -17,8 +18,9 @@ from harness.store.database import FILE, file_of
 SCRIPTS = ("state.js", "elements.js", "index.js")
 
 
-def index(place: Path) -> tuple[str, list[Path]]:
-    """The document, and the results folders whose own page is missing or older than their results.
+def index(place: Path, notify: Callable[[str], None] = lambda message: None) -> str:
+    """The document. A suite's own page that is missing or older than its results is made first, and
+    ``notify`` is told its path.
 
     Raises:
         InputError: no results are at or below ``place``.
@@ -26,28 +28,25 @@ def index(place: Path) -> tuple[str, list[Path]]:
     found = folders(place)
     if not found:
         raise InputError(f"{place}: holds no results, nor do the folders in it")
-    suites, old = [], []
-    for folder in found:
-        entry, fresh = _suite(folder, place)
-        suites.append(entry)
-        if not fresh:
-            old.append(folder)
+    suites = [_suite(folder, place, notify) for folder in found]
     count = f"{len(found)} suite{'s' * (len(found) != 1)}"
-    return whole(f"Results in {place.name}", [count], SCRIPTS, {"suites": suites}), old
+    return whole(f"Results in {place.name}", [count], SCRIPTS, {"suites": suites})
 
 
-def _suite(folder: Path, place: Path) -> tuple[dict[str, Any], bool]:
+def _suite(folder: Path, place: Path, notify: Callable[[str], None]) -> dict[str, Any]:
     page = folder / "report" / "index.html"
     link = page.relative_to(place).as_posix()
     try:
         results = Results.load(folder)
         report = Report.of(results)
     except InputError as error:
-        return {"name": folder.name, "title": folder.name, "why": str(error)}, True
+        return {"name": folder.name, "title": folder.name, "why": str(error)}
     fresh = (
         page.is_file()
         and page.stat().st_mtime >= (file_of(folder) or folder / FILE).stat().st_mtime
     )
+    if not fresh:
+        notify(str(report.write()[0]))
     status = counted(folder, results)
     return {
         "name": folder.name,
@@ -57,4 +56,4 @@ def _suite(folder: Path, place: Path) -> tuple[dict[str, Any], bool]:
         "holds": status.all_valid,
         "sentences": answer(results, report.tables)["sentences"],
         "page": link,
-    }, fresh
+    }

@@ -24,6 +24,7 @@ from harness.core.streams import generator
 from harness.materials.puresample.network import CHANNELS, PureSample
 from harness.microgeometry.walks.kernel import Counts
 from harness.training.puresample.data import LANES
+from harness.training.puresample.density import variation
 from harness.training.puresample.descent import Notify, UnderWay, descend
 from harness.training.puresample.profiles import ALBEDO_LOSSES, Profile
 
@@ -96,7 +97,8 @@ def fit(
     notify: Notify,
     under_way: UnderWay | None = None,
 ) -> float:
-    """The albedo's network alone: the texture stands still. Returns the last loss."""
+    """The albedo's network, and those channels of the texture that are its own: the density's stand
+    still. Returns the last loss."""
     random = torch.Generator().manual_seed(seed)
     u, wi, share = (x.to(device) for x in data[:3])
     if under_way is None or "albedo" not in under_way.begun:
@@ -104,12 +106,14 @@ def fit(
 
     def loss() -> Tensor:
         index = torch.randint(len(wi), (profile.albedo_batch,), generator=random).to(device)
-        with torch.no_grad():
-            features = network.features(u[index])
-        logit = network.albedo_logit(features, wi[index])
-        return loss_of(profile.albedo_loss, logit, share[index])
+        logit = network.albedo_logit(network.features_beside(u[index]), wi[index])
+        found = loss_of(profile.albedo_loss, logit, share[index])
+        return found + profile.tv * variation(network, a.channels, a.features)
 
+    a = network.architecture
     groups = [(list(network.albedo_net.parameters()), profile.albedo_rate)]
+    if a.albedo_channels:
+        groups.append(([network.texture], profile.texture_rate))
     return descend(loss, groups, profile.albedo_steps, notify, "albedo", network, random, under_way)
 
 

@@ -54,12 +54,12 @@ def fit(
     def matching() -> Tensor:
         budget = Budget(conditions=profile.matching_batch, directions=1)
         found = matching_loss(net, rows, budget, random, pairing=False)
-        return found + profile.tv * variation(network)
+        return found + profile.tv * variation(network, 0, a.channels)
 
     def likelihood() -> Tensor:
         budget = Budget(conditions=profile.likelihood_batch, directions=1)
         found = likelihood_loss(net, a.steps, "euler", rows, budget, random)
-        return found + profile.tv * variation(network)
+        return found + profile.tv * variation(network, 0, a.channels)
 
     for what, loss, steps, rate in (
         ("matching", matching, profile.matching_steps, profile.matching_rate),
@@ -72,10 +72,11 @@ def fit(
     return losses
 
 
-def variation(network: PureSample) -> Tensor | float:
-    """Total variation of the texture, eq. 4, as a mean over texels and channels; it wraps."""
-    if network.texture is None:
+def variation(network: PureSample, first: int, last: int) -> Tensor | float:
+    """Total variation of the texture's channels from ``first`` to ``last``, which is not of them,
+    eq. 4, as a mean over texels and channels; the texture wraps."""
+    if network.texture is None or first == last:
         return 0.0
     side = network.architecture.resolution
-    image = network.texture.view(side, side, -1)
+    image = network.texture.view(side, side, -1)[..., first:last]
     return (image.roll(-1, 0) - image).abs().mean() + (image.roll(-1, 1) - image).abs().mean()

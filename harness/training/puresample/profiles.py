@@ -19,8 +19,8 @@ class Profile:
     Reflow (:mod:`harness.fitting.flow_matching`); the *albedo*, from ``directions`` of ``group``
     particles a channel each, in ``albedo_steps`` of ``albedo_batch`` directions by ``albedo_loss``
     (:mod:`harness.training.puresample.albedo`). ``texture_rate`` and ``tv``, the weight of the
-    total variation per texel and channel (eq. 4), are the latent texture's, which the albedo's fit
-    leaves alone.
+    total variation per texel and channel (eq. 4), are the latent texture's. The albedo's fit leaves
+    the density's channels alone, and has ``albedo_channels`` of its own.
     """
 
     architecture: Architecture
@@ -68,12 +68,16 @@ PROFILES = {
         directions=1 << 19,
         albedo_steps=5000,
     ),
-    # Latent texture of 64 texels and 8 channels, and narrower networks.
+    # Latent texture of 64 texels and 8 channels, 4 more for the albedo, and narrower networks.
     "quick-texture": replace(
         _MINUTES,
-        architecture=replace(_TEXTURE, width=64, albedo_width=64, resolution=64, channels=8),
+        architecture=replace(
+            _TEXTURE, width=64, albedo_width=64, resolution=64, channels=8, albedo_channels=4
+        ),
+        walks=16 << 20,
         matching_steps=1500,
-        likelihood_steps=300,
+        likelihood_steps=600,
+        directions=1 << 20,
         group=2,
     ),
     # The sizes and losses of the paper, fifty steps without Reflow, for a GPU.
