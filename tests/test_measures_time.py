@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import time
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from harness.core import registry
 from harness.core.protocol.errors import BudgetExceeded
 from harness.core.protocol.method import DiskSample
 from harness.materials import registry as materials
+from harness.measures import pictures
 from harness.measures import registry as measures
 from harness.mitsuba_runtime import variant
 from tests.measure_subjects import Sleepy, Uneven, job, measured, values
@@ -81,6 +83,24 @@ def test_pictures():
         assert found["relative-mse"] == pytest.approx(np.square(off).mean() / power, rel=0.5)
     ratio = uneven.arrays["variance"] / base.arrays["variance"]
     assert ratio > 1  # what chooses the wrong half has the larger variance
+
+
+@pytest.mark.parametrize(("a_sample", "counts", "known"), [
+    (0.001, [1, 1, 3, 2, 4, 8, 16, 32, 64, 128], 0.001 + 0.01 / 128),
+    (1.0, [1, 1], 1.01),
+])  # fmt: skip
+def test_a_pictures_warm_up_knows_the_speed(monkeypatch, a_sample, counts, known):
+    """Of a render long enough that what every render costs hardly counts; and all is compiled."""
+    asked: list[tuple[int, int]] = []
+
+    def render(self, spp: int, seed: int):
+        asked.append((spp, seed))
+        return SimpleNamespace(seconds=0.01 + a_sample * spp)
+
+    monkeypatch.setattr(pictures._Entrant, "render", render)
+    assert pictures._Entrant(None, None).warm_up(100, 0.4) == pytest.approx(known)
+    assert [spp for spp, _ in asked] == counts
+    assert len({seed for _, seed in asked}) == len(asked)
 
 
 class Glacial(Uneven):

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from harness.measures.base import Job, Measure, Outcome
 from harness.measures.base import Settings as BaseSettings
-from harness.measures.deadline_render import DeadlineRender, render_to_deadlines
+from harness.measures.deadline_render import CHUNKS, DeadlineRender, render_to_deadlines
 from harness.measures.images import checked, reference, too_slow
 from harness.rendering.passes import Pass
 from harness.rendering.prepared import Prepared, prepare
@@ -56,9 +56,8 @@ class Pictures(Measure):
         for entrant in entrants:
             notify(f"{entrant.job.method.name}: warm-up")
             seed = 800_000 + 7919 * entrant.job.seed
-            entrant.render(1, seed)  # compiles
-            known = entrant.render(1, seed + 1).seconds
-            renders.append(DeadlineRender(entrant.render, known, settings.deadline, seed + 2))
+            known = entrant.warm_up(seed, settings.deadline / CHUNKS)
+            renders.append(DeadlineRender(entrant.render, known, settings.deadline, seed + 10))
         notify(f"{settings.deadline:g} s each, {len(entrants)} methods")
         render_to_deadlines(renders)
         notify(f"{jobs[0].material.name}: reference")
@@ -84,6 +83,21 @@ class _Entrant:
         self.total = self.total + spp * rendered.mean
         self.squares = self.squares + spp * np.square(rendered.mean)
         return rendered
+
+    def warm_up(self, seed: int, chunk: float) -> float:
+        """Compile; then seconds a sample, from a render of about half of ``chunk`` seconds if one of
+        a single sample does not take as long. Seeds up to ``seed`` + 9 are used."""
+        self.render(1, seed)
+        count, seconds = 1, self.render(1, seed + 1).seconds
+        if seconds < 0.5 * chunk:
+            # Where the count is no power of two, Mitsuba divides by it: a kernel of its own.
+            self.render(3, seed + 2)
+        for k in range(3, 10):
+            if seconds >= 0.5 * chunk:
+                break
+            count *= 2
+            seconds = self.render(count, seed + k).seconds
+        return seconds / count
 
     @property
     def variance(self) -> float:
