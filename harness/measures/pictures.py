@@ -85,8 +85,8 @@ class _Entrant:
         return rendered
 
     def warm_up(self, seed: int, chunk: float) -> float:
-        """Compile; then seconds a sample, from a render of about half of ``chunk`` seconds if one of
-        a single sample does not take as long. Seeds up to ``seed`` + 9 are used."""
+        """Compile; then seconds a sample, from a render of about half of ``chunk`` seconds if one
+        of a single sample does not take as long. Seeds up to ``seed`` + 9 are used."""
         self.render(1, seed)
         count, seconds = 1, self.render(1, seed + 1).seconds
         if seconds < 0.5 * chunk:
