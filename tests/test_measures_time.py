@@ -15,7 +15,6 @@ from harness.core import registry
 from harness.core.protocol.errors import BudgetExceeded
 from harness.core.protocol.method import DiskSample
 from harness.materials import registry as materials
-from harness.measures import pictures
 from harness.measures import registry as measures
 from harness.mitsuba_runtime import variant
 from tests.measure_subjects import Sleepy, Uneven, job, measured, values
@@ -91,6 +90,8 @@ def test_pictures():
 ])  # fmt: skip
 def test_a_pictures_warm_up_knows_the_speed(monkeypatch, a_sample, counts, known):
     """Of a render long enough that what every render costs hardly counts; and all is compiled."""
+    from harness.measures import pictures
+
     asked: list[tuple[int, int]] = []
 
     def render(self, spp: int, seed: int):
