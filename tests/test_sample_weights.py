@@ -110,7 +110,7 @@ def test_records_and_table(tmp_path: Path):
         "materials": ["ggx-conductor", "disney"],
         "methods": ["cosine", "native", "random-walk"],
         "baseline": "cosine",
-        "measures": [{"name": "sample-weights", "conditions": 4, "samples": 256}],
+        "measures": [{"name": "sample-weights", "conditions": 32, "samples": 256}],
         "report": {"tables": [], "figures": []},
     }
     (tmp_path / "weights.yaml").write_text(yaml.safe_dump(suite))
@@ -122,3 +122,13 @@ def test_records_and_table(tmp_path: Path):
     assert shares.rows[0].cells[0].missing and 0 < shares.rows[0].cells[2].value <= 1
     cells = {row.label: row.cells for row in table.sections[0].rows}
     assert cells["ggx-conductor"][2].value > 0 and cells["disney"][2].missing
+
+
+def test_an_interval_of_more_than_a_factor_of_ten_is_no_number():
+    from harness.analysis.combine import Estimate
+    from harness.report.tables.sample_weights import resolved
+
+    for fine in (Estimate(1.0, 0.5, 5.0), Estimate(0.0, 0.0, 0.0), Estimate(3.0), "skipped"):
+        assert resolved(fine) is fine
+    for wide in (Estimate(1.7, 6.6e-15, 1.2e15), Estimate(1.0, 0.5, 5.1), Estimate(1.0, 0.0, 2.0)):
+        assert resolved(wide) == "not resolved: its interval spans more than a factor of 10"

@@ -6,6 +6,7 @@ from harness.analysis.combine import Estimate, geometric_mean
 from harness.analysis.results import Results
 from harness.report.table import Section, Table
 from harness.report.tables.common import circumstances, lowest_wins, material_rows
+from harness.stats.variance import WIDEST
 
 ORDER = 110
 MEASURE = "sample-weights"
@@ -28,8 +29,9 @@ def sample_weights(results: Results) -> Table | str:
     sections = []
     for metric, title, best in _SECTIONS:
 
-        def number(material, method, metric=metric):
-            return results.number(MEASURE, metric, material, method.label)
+        def number(material, method, metric=metric, positive=bool(best)):
+            found = results.number(MEASURE, metric, material, method.label)
+            return resolved(found) if positive else found
 
         mean = geometric_mean if best else None
         rows = material_rows(results, number, best, mean, "geometric mean")
@@ -60,6 +62,15 @@ def sample_weights(results: Results) -> Table | str:
             f"which two evaluations by different walks tell apart. Lower is better. {said}"
         ).strip(),
     )
+
+
+def resolved(found: Estimate | str) -> Estimate | str:
+    """``found``, unless its interval spans more than a factor of ``WIDEST``."""
+    if isinstance(found, str) or found.low is None or found.high is None:
+        return found
+    if found.high <= WIDEST * found.low:
+        return found
+    return f"not resolved: its interval spans more than a factor of {WIDEST:g}"
 
 
 def _share(results: Results, metric: str, material: str, method: str) -> Estimate | str:
