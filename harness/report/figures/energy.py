@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from matplotlib.lines import Line2D
 
 from harness.analysis.results import Results
 from harness.report.figures.canvas import Canvas, Drawn, sheet
@@ -35,6 +36,8 @@ def energy(results: Results, canvas: Canvas) -> list[Drawn] | str:
                 (x + 0.24 / columns, y + 0.24 / rows, 0.72 / columns, 0.62 / rows)
             )
             _panel(panel, raw, material)
+            if i == 0:
+                panel.legend(handles=_key(), loc="best", frameon=False)
         return [
             canvas.save(
                 figure,
@@ -45,6 +48,14 @@ def energy(results: Results, canvas: Canvas) -> list[Drawn] | str:
                 "microgeometry (points, with 95 % intervals), in the mean over azimuths.",
             )
         ]
+
+
+def _key() -> list[Line2D]:
+    """What points and lines are, whatever their colour."""
+    return [
+        Line2D([], [], color="0.3", marker=".", linestyle="", label="walks"),
+        Line2D([], [], color="0.3", linewidth=1, label="learned"),
+    ]
 
 
 def _panel(axes, raw: dict[str, np.ndarray], material: str) -> None:
@@ -60,5 +71,5 @@ def _panel(axes, raw: dict[str, np.ndarray], material: str) -> None:
     axes.set_xlim(0, 1)
     axes.set_ylim(0, None)
     axes.set_title(material)
-    axes.set_xlabel("cosine of wi")
+    axes.set_xlabel("cosine of incidence")
     axes.set_ylabel("albedo")
