@@ -106,7 +106,10 @@ def fit(
 
     def loss() -> Tensor:
         index = torch.randint(len(wi), (profile.albedo_batch,), generator=random).to(device)
-        logit = network.albedo_logit(network.features_beside(u[index]), wi[index])
+        # A texture without channels of the albedo's own stands still as a whole.
+        with torch.set_grad_enabled(a.albedo_channels > 0):
+            features = network.features_beside(u[index])
+        logit = network.albedo_logit(features, wi[index])
         found = loss_of(profile.albedo_loss, logit, share[index])
         return found + profile.tv * variation(network, a.channels, a.features)
 
