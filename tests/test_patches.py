@@ -153,3 +153,33 @@ def test_noise_is_no_difference_at_large():
                    "learned_blocks": own.packed()})  # fmt: skip
         errors.append(records.macro_error(raw))
     assert np.mean(errors) == pytest.approx(0.04, abs=4 * np.std(errors) / 20)
+
+
+class Kept:
+    """Results of one trial, with some of its images."""
+
+    methods, materials = [SimpleNamespace(label="highest")], ["beads"]
+
+    def __init__(self, *names: str):
+        self.images = {name: np.full((4, 4, 3), 0.5, np.float32) for name in names}
+
+    def scenes(self, _measure):
+        return ["quad"]
+
+    def trials(self, _measure, *_where):
+        return ["one"]
+
+    def stored(self, _trial):
+        return SimpleNamespace(images=self.images)
+
+    def number(self, *_where):
+        return "none"
+
+
+def test_a_copy_without_images_has_no_figure_and_says_so(tmp_path):
+    from harness.report.figures.canvas import Canvas
+    from harness.report.figures.patches import patches
+
+    for names in ((), ("truth",)):
+        assert "images" in patches(Kept(*names), Canvas(tmp_path))
+    assert len(patches(Kept("truth", "learned"), Canvas(tmp_path))) == 1

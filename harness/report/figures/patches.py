@@ -18,22 +18,37 @@ _CELL, _GAP, _LEFT, _TOP, _UNDER = 1.3, 0.04, 0.28, 0.4, 0.18
 """Inches; a picture is at most ``_CELL`` wide, and smaller where a page would be too narrow."""
 _HEADS = ("geometry", "learned", "error")
 
+Pictures = dict[tuple[str, str], tuple[NDArray, NDArray]]
+"""Truth and learned [H, W, 3] by material and scene."""
+
 
 def patches(results: Results, canvas: Canvas) -> list[Drawn] | str:
     """A figure per method: rows materials; of each scene truth, learned and error."""
     if not results.trials(MEASURE):
         return f"no trial of the measure {MEASURE} ended well"
-    drawn = []
-    labels = [m.label for m in results.methods if results.trials(MEASURE, None, m.label)]
+    found = {m.label: _pictures(results, m.label) for m in results.methods}
+    labels = [label for label, pictures in found.items() if pictures]
+    if not labels:
+        return f"no trial of the measure {MEASURE} has its images stored"
     with styled():
-        for label in canvas.mine(labels):
-            drawn.append(_figure(results, canvas, label))
-    return drawn
+        return [_figure(results, canvas, label, found[label]) for label in canvas.mine(labels)]
 
 
-def _figure(results: Results, canvas: Canvas, label: str) -> Drawn:
-    scenes = [s for s in results.scenes(MEASURE) if results.trials(MEASURE, None, label, s)]
-    materials = [m for m in results.materials if results.trials(MEASURE, m, label)]
+def _pictures(results: Results, label: str) -> Pictures:
+    """Those that are stored: a published copy may have left them out."""
+    found: Pictures = {}
+    for material in results.materials:
+        for scene in results.scenes(MEASURE):
+            for trial in results.trials(MEASURE, material, label, scene)[:1]:
+                images = results.stored(trial).images
+                if {"truth", "learned"} <= set(images):
+                    found[material, scene] = images["truth"], images["learned"]
+    return found
+
+
+def _figure(results: Results, canvas: Canvas, label: str, pictures: Pictures) -> Drawn:
+    scenes = [s for s in results.scenes(MEASURE) if any(s == scene for _, scene in pictures)]
+    materials = [m for m in results.materials if any(m == material for material, _ in pictures)]
     cell = min(_CELL, (PAGE - _LEFT) / (3 * len(scenes)) - 5 / 3 * _GAP)
     wide = 3 * cell + 2 * _GAP
     line = cell + _UNDER
@@ -52,10 +67,8 @@ def _figure(results: Results, canvas: Canvas, label: str) -> Drawn:
                     axes.text(
                         middle, y + cell + 0.03, head, ha="center", va="bottom", fontsize=LABEL
                     )
-            trials = results.trials(MEASURE, material, label, scene)
-            if trials:
-                images = results.stored(trials[0]).images
-                _three(axes, images["truth"], images["learned"], (x, y), cell)
+            if (material, scene) in pictures:
+                _three(axes, *pictures[material, scene], (x, y), cell)
                 found = results.number(MEASURE, "macro-error", material, label, scene)
                 if not isinstance(found, str):
                     text = f"difference at large {short(found.value)}"
